@@ -20,37 +20,37 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 
 
-def product(one: FloatArray, other: FloatArray) -> FloatArray:
+def product(left: FloatArray, right: FloatArray) -> FloatArray:
     """
     Return the product of two matrices, or of a matrix and a vector.
 
-    :param one: shape (m, k)
-    :param other: shape (k, n) or (k,)
+    :param left: shape (m, k)
+    :param right: shape (k, n) or (k,)
     :returns: shape (m, n) or (m,)
     """
-    if other.ndim == 1:
-        result = np.empty(len(one))
-        mujoco.mju_mulMatVec(result, one, other)
+    if right.ndim == 1:
+        result = np.empty(len(left))
+        mujoco.mju_mulMatVec(result, left, right)
     else:
-        result = np.empty((len(one), other.shape[1]))
-        mujoco.mju_mulMatMat(result, one, other)
+        result = np.empty((len(left), right.shape[1]))
+        mujoco.mju_mulMatMat(result, left, right)
     return result
 
 
-def transposed_product(one: FloatArray, other: FloatArray) -> FloatArray:
+def transposed_product(left: FloatArray, right: FloatArray) -> FloatArray:
     """
     Return the product of a transposed matrix and another one, or a vector.
 
-    :param one: shape (k, m)
-    :param other: shape (k, n) or (k,)
+    :param left: shape (k, m)
+    :param right: shape (k, n) or (k,)
     :returns: shape (m, n) or (m,)
     """
-    if other.ndim == 1:
-        result = np.empty(one.shape[1])
-        mujoco.mju_mulMatTVec(result, one, other)
+    if right.ndim == 1:
+        result = np.empty(left.shape[1])
+        mujoco.mju_mulMatTVec(result, left, right)
     else:
-        result = np.empty((one.shape[1], other.shape[1]))
-        mujoco.mju_mulMatTMat(result, one, other)
+        result = np.empty((left.shape[1], right.shape[1]))
+        mujoco.mju_mulMatTMat(result, left, right)
     return result
 
 

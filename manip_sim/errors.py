@@ -129,14 +129,14 @@ def _singulars(name: str) -> list[str]:
     return [word.removesuffix('s') for word in _words(name)]
 
 
-def _common_end(one: list[str], other: list[str]) -> int:
-    pairs = zip(reversed(one), reversed(other))
+def _common_end(first: list[str], second: list[str]) -> int:
+    pairs = zip(reversed(first), reversed(second))
     return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
-def _likeness(one: str, other: str) -> float:
+def _likeness(first: str, second: str) -> float:
     """Return the similarity of two names, or of their sorted words if higher, from 0 to 1."""
     return max(
-        difflib.SequenceMatcher(None, other.lower(), one.lower()).ratio(),
-        difflib.SequenceMatcher(None, ' '.join(sorted(_words(other))),
-                                ' '.join(sorted(_words(one)))).ratio())
+        difflib.SequenceMatcher(None, second.lower(), first.lower()).ratio(),
+        difflib.SequenceMatcher(None, ' '.join(sorted(_words(second))),
+                                ' '.join(sorted(_words(first)))).ratio())

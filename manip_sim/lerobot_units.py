@@ -81,8 +81,8 @@ def joint_of(motor: str, joints: Sequence[str] | Mapping[str, Any]) -> str:
 
     :raises ManipSimError: if it is not exactly one
     """
-    found = [joint for joint in joints if joint == motor or joint.endswith(f'_{motor}')]
-    if len(found) != 1:
-        raise ManipSimError(f'{len(found)} joints are called {motor!r}, with or without a prefix, '
-                            f'of {quoted_names([*joints])}')
-    return found[0]
+    matches = [joint for joint in joints if joint == motor or joint.endswith(f'_{motor}')]
+    if len(matches) != 1:
+        raise ManipSimError(f'{len(matches)} joints are called {motor!r}, with or without a '
+                            f'prefix, of {quoted_names([*joints])}')
+    return matches[0]

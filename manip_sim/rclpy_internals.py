@@ -219,12 +219,12 @@ def missing_for_waits() -> list[str]:
     return missing + _missing(_TO_WAIT)
 
 
-def _check(result: int, what: str) -> None:
+def _check(result: int, action: str) -> None:
     """Raise the error of a function of rcl that did not succeed."""
     if result:
         text = _function('rcutils_get_error_string')().text.decode(errors='replace')
         _function('rcutils_reset_error')()
-        raise RCLError(f'Failed to {what}: {text}')
+        raise RCLError(f'Failed to {action}: {text}')
 
 
 def publish_bytes(publisher: Publisher, content: bytes) -> None:

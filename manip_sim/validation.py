@@ -22,7 +22,7 @@ from manip_sim.quoting import format_value, pluralize
 _NORM_TOLERANCE = 1e-2
 
 
-def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelError
+def as_numbers(values: ArrayLike, label: str, error: type[ManipSimError] = ModelError
                ) -> FloatArray:
     """
     Return numbers as an array of their own shape, always a copy.
@@ -35,24 +35,24 @@ def as_numbers(values: ArrayLike, what: str, error: type[ManipSimError] = ModelE
             raise TypeError('text, or complex')
         return np.array(array, dtype=float)
     except (OverflowError, TypeError, ValueError) as cause:
-        raise error(f'{what} must be numbers, got {values!r:.60}') from cause
+        raise error(f'{label} must be numbers, got {values!r:.60}') from cause
 
 
-def finite_numbers(values: ArrayLike, length: int, what: str,
+def finite_numbers(values: ArrayLike, length: int, label: str,
                    error: type[ManipSimError] = ModelError) -> FloatArray:
     """
     Return numbers as an array of shape (length,), always a copy.
 
     :raises ManipSimError: that exception, if they are not ``length`` finite numbers
     """
-    array = as_numbers(values, what, error)
+    array = as_numbers(values, label, error)
     if array.shape == (length,) and np.isfinite(array).all():
         return array
     if array.shape != (length,):
         got = str(array.size) if array.ndim == 1 else f'the shape {array.shape}'
-        raise error(f'{what} must have {pluralize(length, "number")}, got {got}')
+        raise error(f'{label} must have {pluralize(length, "number")}, got {got}')
     bad = int(np.flatnonzero(~np.isfinite(array))[0])
-    raise error(f'{what} must be finite, got {array[bad]} at index {bad}')
+    raise error(f'{label} must be finite, got {array[bad]} at index {bad}')
 
 
 #: ``as_numbers`` and ``finite_numbers`` for numbers of commands: they raise ``CommandError``.
@@ -60,7 +60,7 @@ command_numbers = partial(as_numbers, error=CommandError)
 finite_command_numbers = partial(finite_numbers, error=CommandError)
 
 
-def mapping(value: object, what: str, example: str) -> Mapping[str, Any]:
+def mapping(value: object, label: str, example: str) -> Mapping[str, Any]:
     """
     Return a mapping.
 
@@ -68,26 +68,27 @@ def mapping(value: object, what: str, example: str) -> Mapping[str, Any]:
     :raises ModelError: if it is none
     """
     if not isinstance(value, Mapping):
-        raise ModelError(f'{what} must be a mapping, such as {example}, got {format_value(value)}')
+        raise ModelError(f'{label} must be a mapping, such as {example}, '
+                         f'got {format_value(value)}')
     return value
 
 
-def unit_quaternion(values: ArrayLike, what: str) -> FloatArray:
+def unit_quaternion(values: ArrayLike, label: str) -> FloatArray:
     """
     Return a quaternion with unit norm, shape (4,), a copy.
 
     :raises ModelError: if it is not four finite numbers, all are zero, or its norm is infinite
     """
-    quat = finite_numbers(values, 4, what)
+    quat = finite_numbers(values, 4, label)
     norm = math.hypot(*quat)  # The norm of numpy warns of an overflow.
     if not norm > 0.0:
-        raise ModelError(f'{what} must not be zero')
+        raise ModelError(f'{label} must not be zero')
     if not norm < math.inf:
-        raise ModelError(f'{what} must have a finite norm')
+        raise ModelError(f'{label} must have a finite norm')
     return quat / norm
 
 
-def norm_of_unit_quaternion(quat_xyzw: Sequence[float], what: str,
+def norm_of_unit_quaternion(quat_xyzw: Sequence[float], label: str,
                             error: type[Exception] = ModelError) -> float:
     """
     Return the norm of a quaternion x, y, z, w that is of length 1 but for rounding.
@@ -97,12 +98,12 @@ def norm_of_unit_quaternion(quat_xyzw: Sequence[float], what: str,
     """
     norm = math.hypot(*quat_xyzw)  # The norm of numpy warns of an overflow.
     if abs(norm * norm - 1.0) > _NORM_TOLERANCE:
-        raise error(f'{what} must be a quaternion x, y, z, w of length 1, got {list(quat_xyzw)} '
+        raise error(f'{label} must be a quaternion x, y, z, w of length 1, got {list(quat_xyzw)} '
                     f'of length {norm:g}')
     return norm
 
 
-def whole_number(value: object, least: int, what: str, error: type[ManipSimError] = ModelError
+def whole_number(value: object, least: int, label: str, error: type[ManipSimError] = ModelError
                  ) -> int:
     """
     Return a whole number.
@@ -110,11 +111,11 @@ def whole_number(value: object, least: int, what: str, error: type[ManipSimError
     :raises ManipSimError: that exception, if it is not a whole number from there
     """
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise error(f'{what} must be a whole number from {least}, got {format_value(value)}')
+        raise error(f'{label} must be a whole number from {least}, got {format_value(value)}')
     return int(value)
 
 
-def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelError,
+def positive_number(value: Any, label: str, error: type[ManipSimError] = ModelError,
                     or_zero: bool = False) -> float:
     """
     Return a number above 0.
@@ -124,7 +125,7 @@ def positive_number(value: Any, what: str, error: type[ManipSimError] = ModelErr
     """
     if (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
             or not (0 < value <= sys.float_info.max or or_zero and value == 0)):
-        raise error(f'{what} must be positive and finite{", or 0" if or_zero else ""}, '
+        raise error(f'{label} must be positive and finite{", or 0" if or_zero else ""}, '
                     f'got {format_value(value)}')
     return float(value)
 

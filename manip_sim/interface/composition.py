@@ -250,15 +250,15 @@ def spawn_files(folders: Sequence[str]) -> AllowedRoots:
                         'spawn_roots')
 
 
-def _objects(given: Sequence[str]) -> list[Any]:
+def _objects(texts: Sequence[str]) -> list[Any]:
     """Return descriptions of objects; what begins with a brace is one in YAML."""
     return [parse_yaml(text, "parameter 'objects'") if text.lstrip().startswith('{') else text
-            for text in given if text]
+            for text in texts if text]
 
 
-def _robot_names(given: Sequence[str]) -> list[str]:
+def _robot_names(texts: Sequence[str]) -> list[str]:
     # An empty list of strings is a list with an empty string in ROS.
-    names = [name for name in given if name]
+    names = [name for name in texts if name]
     for name in names:
         try:
             check_robot_name(name)

@@ -32,7 +32,7 @@ class SensorSettings:
     """
     The settings of sensors by name.
 
-    :param given: descriptions; empty texts are ignored
+    :param descriptions: descriptions; empty texts are ignored
     :param names: of the instruments that have topics
     :param publish_rate: control periods per second [Hz]
     :raises ModelError: if a description cannot be used, on one line
@@ -43,12 +43,12 @@ class SensorSettings:
     :ivar noise: standard deviation on each number that is read, in its unit
     """
 
-    def __init__(self, given: Sequence[str], names: Iterable[str], publish_rate: float
+    def __init__(self, descriptions: Sequence[str], names: Iterable[str], publish_rate: float
                  ) -> None:
         self.every: dict[str, int] = {}
         self.rates_hz: dict[str, float] = {}
         self.noise: dict[str, float] = {}
-        texts = [text for text in given if text]
+        texts = [text for text in descriptions if text]
         if not texts:
             return
         names = list(dict.fromkeys(names))

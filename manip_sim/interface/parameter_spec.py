@@ -169,17 +169,17 @@ class ParameterSpec:
             return [''] if self.type == 'string_array' else [*self.default]
         return value
 
-    def type_problem(self, found: str, value: Any) -> str | None:
+    def type_problem(self, ros_type: str, value: Any) -> str | None:
         """
         Return the problem with the type of a value, or None.
 
-        :param found: the type, as ROS calls it
+        :param ros_type: the type, as ROS calls it
         """
-        if found == self.type:
+        if ros_type == self.type:
             return None
         hint = (f': quote it, as in {str(value)!r}'
                 if self.type == 'string' and not self.choices else
-                f': write a list, "[{value}]"' if f'{found}_array' == self.type else '')
+                f': write a list, "[{value}]"' if f'{ros_type}_array' == self.type else '')
         return f"parameter '{self.name}' must be of type {self.type}, got {value!r}{hint}"
 
     def problem_with(self, value: Any) -> str | None:
@@ -306,7 +306,8 @@ class GivenParameters:
                                          if {*parts[other].atomic} <= {*parts[part].atomic}})
             # Parts that consist of several have the values in which these agree.
             for part, name in names.items():
-                shared = {self._values[names[one]] for one in parts[part].atomic if one in names}
+                shared = {self._values[names[member]] for member in parts[part].atomic
+                          if member in names}
                 if len(shared) == 1:
                     self._values[name] = shared.pop()
 
@@ -324,27 +325,27 @@ class GivenParameters:
         check_names(self.given, self.specs)
 
 
-def forget_spawned(given: dict[str, Any], known: Iterable[str]) -> None:
+def forget_spawned(values: dict[str, Any], known: Iterable[str]) -> None:
     """
     Remove the parameters of spawned robots, which the dump of a node has.
 
-    :param given: parameters by name; changed
+    :param values: parameters by name; changed
     :param known: names of those that were declared; a robot that has some of them stays
     """
-    spawned = {name.partition('.')[0] for name in given if name.partition('.')[2] == SPAWNED}
+    spawned = {name.partition('.')[0] for name in values if name.partition('.')[2] == SPAWNED}
     spawned -= {name.partition('.')[0] for name in known}
-    for name in [name for name in given if name.partition('.')[0] in spawned]:
-        del given[name]
+    for name in [name for name in values if name.partition('.')[0] in spawned]:
+        del values[name]
 
 
-def check_names(given: Iterable[str], known: Iterable[str]) -> None:
+def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     """
     Reject names of parameters that are not known, but for those that every node has.
 
     :raises ParameterError: naming the nearest parameters
     """
     known = list(known)
-    for name in given:
+    for name in names:
         if name in known or name in _OF_RCLPY or name.startswith('qos_overrides.'):
             continue
         missing = [f'this robot has no {part}, ' for part in name.split('.')

@@ -39,7 +39,7 @@ class JointNames:
 
     @cached_property
     def _by_public(self) -> dict[str, str]:
-        return {public: own for own, public in self.by_own.items()}
+        return {public: internal for internal, public in self.by_own.items()}
 
     def public(self, names: Iterable[str]) -> list[str]:
         """Return what joints are called in messages."""

@@ -64,12 +64,14 @@ def topics_of_objects(names: Iterable[str]) -> list[Topic]:
             if row.per == OBJECT and row.needs == 'object']
 
 
-def topics_of_surroundings(found: Surroundings) -> list[Topic]:
+def topics_of_surroundings(surroundings: Surroundings) -> list[Topic]:
     """Return the topics that the node has for bodies, mocap bodies and joints of the arena."""
-    there = {'arena/joint_states': found.joints, 'arena/joint_command': found.actuators,
-             'actuators/states': found.other_actuators, 'actuators/command': found.other_actuators}
+    there = {'arena/joint_states': surroundings.joints,
+             'arena/joint_command': surroundings.actuators,
+             'actuators/states': surroundings.other_actuators,
+             'actuators/command': surroundings.other_actuators}
     return [*(BY_NAME[name] for name, has in there.items() if has),
-            *(row.filled_in(name) for name in found.mocap_names if TOKEN.fullmatch(name)
+            *(row.filled_in(name) for name in surroundings.mocap_names if TOKEN.fullmatch(name)
               for row in TOPICS if row.by in ('object_pose', 'mocap_pose')), BY_NAME['~/pull']]
 
 

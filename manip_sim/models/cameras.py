@@ -71,16 +71,16 @@ def create_lidar(description: LidarLike) -> LidarModel:
         return description
     # Imported late: it needs pydantic 2, which Ubuntu 24.04 does not have.
     from manip_sim.models.descriptions import LidarDescription, read_mounted
-    parsed, where = read_mounted(LidarDescription, 'lidar', description)
+    parsed, source = read_mounted(LidarDescription, 'lidar', description)
     values = parsed.model_dump(exclude_none=True)
     rays = Rays(**{key: value for key, value in values.items() if key in Rays.__annotations__})
     for low, high in (('angle_min', 'angle_max'), ('elevation_min', 'elevation_max'),
                       ('range_min', 'range_max')):
         if getattr(rays, low) >= getattr(rays, high):
-            raise ModelError(f"{where}: '{low}' must be less than '{high}', got "
+            raise ModelError(f"{source}: '{low}' must be less than '{high}', got "
                              f'{getattr(rays, low):g} and {getattr(rays, high):g}')
     if rays.samples * rays.rings > MAX_RAYS:
-        raise ModelError(f"{where}: 'samples' times 'rings' must be at most {MAX_RAYS}, got "
+        raise ModelError(f"{source}: 'samples' times 'rings' must be at most {MAX_RAYS}, got "
                          f'{rays.samples * rays.rings}')
     quat_wxyz = parsed.quat_wxyz
     return LidarModel(parsed.name, parsed.body or 'world',
@@ -189,38 +189,38 @@ def camera_names(model: mujoco.MjModel) -> list[str]:
 _TOKEN = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
-def described_cameras(given: Sequence[str]) -> list[dict[str, Any]]:
+def described_cameras(texts: Sequence[str]) -> list[dict[str, Any]]:
     """
     Return the descriptions among some texts: those that begin with a brace, as YAML.
 
     :raises ModelError: if one is not YAML
     """
-    return [parse_yaml(text, "one of 'cameras'") for text in given if _is_description(text)]
+    return [parse_yaml(text, "one of 'cameras'") for text in texts if _is_description(text)]
 
 
-def described_lidars(given: Sequence[str]) -> list[dict[str, Any]]:
+def described_lidars(texts: Sequence[str]) -> list[dict[str, Any]]:
     """
     Return the descriptions of lidars, as YAML; empty texts are ignored.
 
     :raises ModelError: if one is not YAML
     """
-    for text in filter(None, given):
+    for text in filter(None, texts):
         if not _is_description(text):
             raise ModelError(f"one of 'lidars' must be a description such as {{name: scan, "
                              f'position: [0.5, 0.0, 0.2]}}, got {quoted(text)}')
-    return [parse_yaml(text, "one of 'lidars'") for text in filter(None, given)]
+    return [parse_yaml(text, "one of 'lidars'") for text in filter(None, texts)]
 
 
 def _is_description(text: str) -> bool:
     return text.lstrip().startswith('{')
 
 
-def chosen_cameras(given: Sequence[str], added: Sequence[CameraModel], model: mujoco.MjModel
+def chosen_cameras(texts: Sequence[str], added: Sequence[CameraModel], model: mujoco.MjModel
                    ) -> dict[str, ImageSettings]:
     """
     Return the chosen cameras, in order, and the default settings of their images.
 
-    :param given: names of cameras and descriptions; empty texts are ignored
+    :param texts: names of cameras and descriptions; empty texts are ignored
     :param added: the cameras of the descriptions, as a world has them
     :param model: the ``mujoco.MjModel`` of that world
     :raises UnknownNameError: if the camera is unknown
@@ -228,7 +228,7 @@ def chosen_cameras(given: Sequence[str], added: Sequence[CameraModel], model: mu
     """
     described = iter(added)
     chosen: dict[str, ImageSettings] = {}
-    for text in filter(None, given):
+    for text in filter(None, texts):
         if _is_description(text):
             camera = next(described)
             name, images = camera.name, camera.images

@@ -64,7 +64,7 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     return robot
 
 
-def read_gripper(text: str, where: str = 'gripper') -> str | dict[str, str]:
+def read_gripper(text: str, source: str = 'gripper') -> str | dict[str, str]:
     """
     Parse grippers by arm from a text such as ``{right: PandaGripper, left: none}``.
 
@@ -73,10 +73,10 @@ def read_gripper(text: str, where: str = 'gripper') -> str | dict[str, str]:
     """
     if not text.lstrip().startswith('{'):
         return text
-    by_arm = parse_yaml(text, where)
+    by_arm = parse_yaml(text, source)
     for arm, choice in by_arm.items():
         if not isinstance(choice, str):
-            raise ModelError(f'{where}: the gripper of arm {quoted(arm)} must be a name or a '
+            raise ModelError(f'{source}: the gripper of arm {quoted(arm)} must be a name or a '
                              f'file, got {format_value(choice)}')
     return by_arm
 

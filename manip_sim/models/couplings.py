@@ -201,9 +201,9 @@ def _tendon_joints(model: mujoco.MjModel, tendon: int) -> list[int]:
     if fixed:
         return fixed
     joints: dict[int, None] = {}
-    for one, other in pairwise(_wrapped_body(model, wrap) for wrap in wraps):
-        if one is not None and other is not None:
-            joints.update(dict.fromkeys(joints_between(model, one, other)))
+    for body, next_body in pairwise(_wrapped_body(model, wrap) for wrap in wraps):
+        if body is not None and next_body is not None:
+            joints.update(dict.fromkeys(joints_between(model, body, next_body)))
     return list(joints)
 
 
@@ -249,35 +249,36 @@ def _equalities(model: mujoco.MjModel, *kinds: Any) -> Iterator[tuple[int, int, 
 
 
 def _coupled(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
-    for _, one, other in _equalities(model, _EQUALITY.mjEQ_JOINT):
-        yield one, *(() if other < 0 else (other,))
-    for _, one, other in _equalities(model, _EQUALITY.mjEQ_TENDON):
-        yield [*_tendon_joints(model, one), *(_tendon_joints(model, other) if other >= 0 else ())]
-    for equality, one, other in _equalities(model, _EQUALITY.mjEQ_CONNECT, _EQUALITY.mjEQ_WELD):
-        yield joints_between(model, *_tied_bodies(model, equality, one, other))
+    for _, first, second in _equalities(model, _EQUALITY.mjEQ_JOINT):
+        yield first, *(() if second < 0 else (second,))
+    for _, first, second in _equalities(model, _EQUALITY.mjEQ_TENDON):
+        yield [*_tendon_joints(model, first),
+               *(_tendon_joints(model, second) if second >= 0 else ())]
+    for equality, first, second in _equalities(model, _EQUALITY.mjEQ_CONNECT, _EQUALITY.mjEQ_WELD):
+        yield joints_between(model, *_tied_bodies(model, equality, first, second))
 
 
 def _fixed(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
     """Yield the joints that a constraint holds alone, or by a weld to world or a mocap body."""
-    for _, one, other in _equalities(model, _EQUALITY.mjEQ_JOINT):
-        if other < 0:
-            yield (one,)
-    for equality, one, other in _equalities(model, _EQUALITY.mjEQ_WELD):
-        bodies = _tied_bodies(model, equality, one, other)
+    for _, first, second in _equalities(model, _EQUALITY.mjEQ_JOINT):
+        if second < 0:
+            yield (first,)
+    for equality, first, second in _equalities(model, _EQUALITY.mjEQ_WELD):
+        bodies = _tied_bodies(model, equality, first, second)
         if any(not int(model.body_weldid[body]) or int(model.body_mocapid[body]) >= 0
                for body in bodies):
             yield joints_between(model, *bodies)
 
 
-def _tied_bodies(model: mujoco.MjModel, equality: int, one: int, other: int) -> tuple[int, int]:
+def _tied_bodies(model: mujoco.MjModel, equality: int, first: int, second: int) -> tuple[int, int]:
     if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        return int(model.site_bodyid[one]), int(model.site_bodyid[other])
-    return one, other
+        return int(model.site_bodyid[first]), int(model.site_bodyid[second])
+    return first, second
 
 
-def joints_between(model: mujoco.MjModel, one: int, other: int) -> list[int]:
+def joints_between(model: mujoco.MjModel, first: int, second: int) -> list[int]:
     """Return the joints that move one body relative to another."""
-    apart = _ancestry(model, one) ^ _ancestry(model, other)
+    apart = _ancestry(model, first) ^ _ancestry(model, second)
     return [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in apart]
 
 

@@ -71,7 +71,7 @@ def _is_exponent(value: object) -> bool:
 Number = Annotated[float, BeforeValidator(_number)]
 
 
-def checked(kind: type[M], values: Mapping[str, Any], where: str) -> M:
+def checked(kind: type[M], values: Mapping[str, Any], source: str) -> M:
     """
     Return values as a pydantic model.
 
@@ -83,7 +83,7 @@ def checked(kind: type[M], values: Mapping[str, Any], where: str) -> M:
     except ValidationError as errors:
         # A misspelt key also makes the right one missing; the error names the misspelt one.
         first = min(errors.errors(), key=lambda e: e['type'] != 'extra_forbidden')
-        raise ModelError(f'{where}: {_explained(first, kind.model_fields)}') from None
+        raise ModelError(f'{source}: {_explained(first, kind.model_fields)}') from None
 
 
 def _explained(error: Any, keys: Iterable[str]) -> str:
@@ -419,10 +419,10 @@ class LidarDescription(PlacedDescription):
 Mounted = TypeVar('Mounted', CameraDescription, LidarDescription)
 
 
-def read_mounted(kind: type[Mounted], what: str, values: Mapping[str, Any]) -> tuple[Mounted, str]:
+def read_mounted(kind: type[Mounted], noun: str, values: Mapping[str, Any]) -> tuple[Mounted, str]:
     """Return the description of a camera or lidar, and what to call it in messages."""
     name = values.get('name')
-    where = f'{what} without a name' if name is None else f'{what} {quoted(name)}'
-    parsed = checked(kind, values, where)
-    check_object_name(parsed.name, what, f'a {what} and its topics')
-    return parsed, where
+    source = f'{noun} without a name' if name is None else f'{noun} {quoted(name)}'
+    parsed = checked(kind, values, source)
+    check_object_name(parsed.name, noun, f'a {noun} and its topics')
+    return parsed, source

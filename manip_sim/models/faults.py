@@ -105,22 +105,22 @@ class FaultPlan:
     def __init__(self, given: FaultsLike) -> None:
         if isinstance(given, FaultPlan):
             given = given.given
-        where = 'faults'
+        source = 'faults'
         if isinstance(given, (str, PathLike)):
-            where = fspath(given)
-            given = _listed(read_yaml(given), where)
+            source = fspath(given)
+            given = _listed(read_yaml(given), source)
         if isinstance(given, Mapping) or not isinstance(given, Iterable):
-            raise ModelError(f'{where} must be a list of faults, got {format_value(given)}')
+            raise ModelError(f'{source} must be a list of faults, got {format_value(given)}')
         self.given: list[Any] = [
             dict(fault) if isinstance(fault, Mapping) else fault for fault in given]
         self.faults: Sequence[PlannedFault] = [
-            planned(fault, f'{where}: number {number}')
+            planned(fault, f'{source}: number {number}')
             for number, fault in enumerate(self.given, 1)]
 
 
-def _listed(values: Mapping[str, Any], where: str) -> Any:
+def _listed(values: Mapping[str, Any], source: str) -> Any:
     if set(values) != {'faults'}:
-        raise ModelError(f"{where}: expected the key 'faults' and nothing else, got "
+        raise ModelError(f"{source}: expected the key 'faults' and nothing else, got "
                          f'{", ".join(map(quoted, values)) or "nothing"}')
     return values['faults']
 
@@ -136,63 +136,63 @@ def fault_from_text(text: str) -> dict[str, Any]:
     return dict(values)
 
 
-def planned(given: Any, where: str) -> PlannedFault:
+def planned(fault: Any, source: str) -> PlannedFault:
     """
     Return a fault, checked.
 
-    :param given: a mapping
-    :param where: it is, for messages
+    :param fault: a mapping
+    :param source: it is, for messages
     :raises ModelError: if it cannot be used
     """
-    if not isinstance(given, Mapping):
-        raise ModelError(f"{where}: expected keys such as 'what' and 'part', "
-                         f'got {format_value(given)}')
-    for key in given:
-        _known('key', key, _KEYS, where)
+    if not isinstance(fault, Mapping):
+        raise ModelError(f"{source}: expected keys such as 'what' and 'part', "
+                         f'got {format_value(fault)}')
+    for key in fault:
+        _known('key', key, _KEYS, source)
     for key in ('what', 'part'):
-        if not isinstance(given.get(key), str):
-            raise ModelError(f"{where}: '{key}' must be a name, "
-                             f'got {format_value(given.get(key))}')
-    _known('fault', given['what'], KINDS, where)
-    kind, robot = KINDS[given['what']], given.get('robot', '')
+        if not isinstance(fault.get(key), str):
+            raise ModelError(f"{source}: '{key}' must be a name, "
+                             f'got {format_value(fault.get(key))}')
+    _known('fault', fault['what'], KINDS, source)
+    kind, robot = KINDS[fault['what']], fault.get('robot', '')
     if not isinstance(robot, str):
-        raise ModelError(f"{where}: 'robot' must be a name, got {format_value(robot)}")
-    begin = _range(given.get('from', 0.0), 0.0, math.inf, f"{where}: 'from'")
+        raise ModelError(f"{source}: 'robot' must be a name, got {format_value(robot)}")
+    begin = _range(fault.get('from', 0.0), 0.0, math.inf, f"{source}: 'from'")
     end = (math.inf, math.inf)
-    if given.get('until') is not None:
-        end = _range(given['until'], 0.0, math.inf, f"{where}: 'until'")
+    if fault.get('until') is not None:
+        end = _range(fault['until'], 0.0, math.inf, f"{source}: 'until'")
     if end[0] <= begin[1]:
-        raise ModelError(f"{where}: 'until' must be after 'from', got {end[0]:g} and "
+        raise ModelError(f"{source}: 'until' must be after 'from', got {end[0]:g} and "
                          f'{begin[1]:g} s')
-    if not kind.value and 'value' in given:
-        raise ModelError(f'{where}: {given["what"]} has no value')
-    value, chance = given.get('value', kind.default), given.get('chance', 1.0)
+    if not kind.value and 'value' in fault:
+        raise ModelError(f'{source}: {fault["what"]} has no value')
+    value, chance = fault.get('value', kind.default), fault.get('chance', 1.0)
     if isinstance(chance, (list, tuple)):
-        raise ModelError(f"{where}: 'chance' must be one number, got {format_value(chance)}")
+        raise ModelError(f"{source}: 'chance' must be one number, got {format_value(chance)}")
     if value is None:
-        raise ModelError(f"{where}: {given['what']} needs a 'value': {kind.value}")
+        raise ModelError(f"{source}: {fault['what']} needs a 'value': {kind.value}")
     low = -kind.most if kind.signed else 0.0
     return PlannedFault(
-        given['what'], given['part'], robot, begin, end,
-        _range(value, low, kind.most, f"{where}: 'value'"),
-        _range(chance, 0.0, 1.0, f"{where}: 'chance'")[0])
+        fault['what'], fault['part'], robot, begin, end,
+        _range(value, low, kind.most, f"{source}: 'value'"),
+        _range(chance, 0.0, 1.0, f"{source}: 'chance'")[0])
 
 
-def _known(kind: str, key: Any, known: Iterable[str], where: str) -> None:
+def _known(kind: str, key: Any, known: Iterable[str], source: str) -> None:
     if key not in (choices := list(known)):
-        raise ModelError(f'{where}: unknown {kind} {quoted(str(key))}: '
+        raise ModelError(f'{source}: unknown {kind} {quoted(str(key))}: '
                          f'{describe_choices(str(key), choices)}')
 
 
-def _range(given: Any, low: float, high: float, what: str) -> tuple[float, float]:
+def _range(value: Any, low: float, high: float, label: str) -> tuple[float, float]:
     """Return a number twice, or the ends of a range."""
-    ends = list(given) if isinstance(given, (list, tuple)) and len(given) == 2 else [given] * 2
+    ends = list(value) if isinstance(value, (list, tuple)) and len(value) == 2 else [value] * 2
     for end in ends:
         if isinstance(end, bool) or not isinstance(end, (int, float)) or not (
                 math.isfinite(end) and low <= end <= high):
             limits = f'from {low:g}' if math.isinf(high) else f'from {low:g} to {high:g}'
-            raise ModelError(f'{what} must be a number {limits} or [low, high], got '
-                             f'{format_value(given)}')
+            raise ModelError(f'{label} must be a number {limits} or [low, high], got '
+                             f'{format_value(value)}')
     if ends[0] > ends[1]:
-        raise ModelError(f'{what}: low must not be above high, got {format_value(given)}')
+        raise ModelError(f'{label}: low must not be above high, got {format_value(value)}')
     return float(ends[0]), float(ends[1])

@@ -92,10 +92,10 @@ class JointActuation:
     :ivar torque_speed: None for the same torque at any speed
     """
 
-    def __init__(self, joints: Sequence[str], where: str,
+    def __init__(self, joints: Sequence[str], source: str,
                  catalogue: Mapping[str, Any] | None) -> None:
         self.joints = list(joints)
-        self._where, self._catalogue = where, catalogue
+        self._source, self._catalogue = source, catalogue
         self.friction: Friction | None = None
         self.torque_speed: TorqueSpeed | None = None
 
@@ -106,13 +106,13 @@ class JointActuation:
         :param friction: ``catalogue``, or the keys of :class:`Friction`
         """
         values = self._chosen(friction, 'friction')
-        self.friction = checked(Friction, values, f'friction of {self._where}')
+        self.friction = checked(Friction, values, f'friction of {self._source}')
         coulomb, static = (self.of_each(self.friction.coulomb, 'coulomb'),
                            self.of_each(self.friction.static, 'static'))
         for name in ('viscous', 'stribeck_velocity'):
             self.of_each(getattr(self.friction, name), name)
         if self.friction.static is not None and (static < coulomb).any():
-            raise ModelError(f"friction of {self._where}: 'static' must be at least 'coulomb'")
+            raise ModelError(f"friction of {self._source}: 'static' must be at least 'coulomb'")
 
     def set_torque_speed(self, curve: str | Mapping[str, Any]) -> None:
         """
@@ -121,23 +121,23 @@ class JointActuation:
         :param curve: ``catalogue``, or the keys of :class:`TorqueSpeed`
         """
         values = self._chosen(curve, 'torque_speed')
-        self.torque_speed = checked(TorqueSpeed, values, f'torque_speed of {self._where}')
+        self.torque_speed = checked(TorqueSpeed, values, f'torque_speed of {self._source}')
         knee, no_load = (self.of_each(value, name) for name, value in (
             ('knee', self.torque_speed.knee), ('no_load', self.torque_speed.no_load)))
         if (no_load <= knee).any():
-            raise ModelError(f"torque_speed of {self._where}: 'no_load' must be above 'knee'")
+            raise ModelError(f"torque_speed of {self._source}: 'no_load' must be above 'knee'")
 
-    def _chosen(self, given: str | Mapping[str, Any], kind: str) -> Mapping[str, Any]:
-        if isinstance(given, Mapping):
-            return given
-        if not isinstance(given, str):
-            raise ModelError(f'{kind} of {self._where} must be a mapping, '
-                             f'got {format_value(given)}')
-        if given != CATALOGUE:
-            raise UnknownNameError(f'{kind} of {self._where}', given, ['none', CATALOGUE])
+    def _chosen(self, choice: str | Mapping[str, Any], kind: str) -> Mapping[str, Any]:
+        if isinstance(choice, Mapping):
+            return choice
+        if not isinstance(choice, str):
+            raise ModelError(f'{kind} of {self._source} must be a mapping, '
+                             f'got {format_value(choice)}')
+        if choice != CATALOGUE:
+            raise UnknownNameError(f'{kind} of {self._source}', choice, ['none', CATALOGUE])
         values = None if self._catalogue is None else self._catalogue.get(kind)
         if values is None:
-            raise ModelError(f'{kind} of {self._where}: the catalogue has none; give numbers')
+            raise ModelError(f'{kind} of {self._source}: the catalogue has none; give numbers')
         return dict(values)
 
     def of_each(self, values: tuple[float, ...] | None, name: str) -> FloatArray:
@@ -150,7 +150,7 @@ class JointActuation:
         if values is None:
             return np.zeros(count)
         if len(values) not in (1, count):
-            raise ModelError(f"{self._where}: '{name}' needs 1 or {count} numbers, "
+            raise ModelError(f"{self._source}: '{name}' needs 1 or {count} numbers, "
                              f'got {len(values)}')
         return np.broadcast_to(np.array(values), count).copy()
 
@@ -177,7 +177,7 @@ class JointActuation:
         return [FrictionLaw(*(float(value) for value in values)) for values in zip(*rows)]
 
 
-def single(value: float | Sequence[float], where: str) -> tuple[float, ...]:
+def single(value: float | Sequence[float], source: str) -> tuple[float, ...]:
     """
     Return a number, or one for each joint, as a tuple.
 
@@ -186,7 +186,7 @@ def single(value: float | Sequence[float], where: str) -> tuple[float, ...]:
     try:
         return _per_joint(value)
     except ValueError as error:
-        raise ModelError(f'armature of {where} {error}, got {format_value(value)}') from error
+        raise ModelError(f'armature of {source} {error}, got {format_value(value)}') from error
 
 
 def read_catalogue(folder: Path, subsystem: str) -> dict[str, Any] | None:

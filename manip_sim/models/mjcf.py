@@ -199,17 +199,17 @@ class MujocoXMLModel:
         self._attach_copy(spec, frame, self._spec.copy())
 
     def _attach_copy(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
-                     own: mujoco.MjSpec) -> None:
+                     part_spec: mujoco.MjSpec) -> None:
         if not self._is_checked:
             self._check_declared()
             self._is_checked = True
         if not self.naming_prefix:
-            name_main_default(own)
-        TakenNames(spec).add(own, self.naming_prefix, self.name)
-        for key in list(own.keys):
-            own.delete(key)
-        resolve_files(own, self.file)
-        attach(spec, own, self.naming_prefix, frame)
+            name_main_default(part_spec)
+        TakenNames(spec).add(part_spec, self.naming_prefix, self.name)
+        for key in list(part_spec.keys):
+            part_spec.delete(key)
+        resolve_files(part_spec, self.file)
+        attach(spec, part_spec, self.naming_prefix, frame)
 
     def compose(self) -> mujoco.MjSpec:
         """Return a new spec of this part and everything mounted on it."""

@@ -317,10 +317,10 @@ def _drop_commas(document: Document, tag: str, name: str) -> Iterator[str]:
                             '')
 
 
-def _sentence(document: Document, element: ElementTree.Element, what: str, later: str) -> str:
+def _sentence(document: Document, element: ElementTree.Element, dropped: str, later: str) -> str:
     place = document.place(element)
-    return (f'{later or "ignored"}: {what}{" in " if place else ""}{place}, which MuJoCo reads no '
-            'longer')
+    return (f'{later or "ignored"}: {dropped}{" in " if place else ""}{place}, which MuJoCo reads '
+            'no longer')
 
 
 def _explained(documents: Sequence[Document], error: Exception, file: Path) -> str:

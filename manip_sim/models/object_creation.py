@@ -143,7 +143,7 @@ def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectMod
     return objects
 
 
-def create_described(values: Mapping[str, Any], kind: type[P], where: str, folder: Path = Path(),
+def create_described(values: Mapping[str, Any], kind: type[P], source: str, folder: Path = Path(),
                      files: Files | None = None) -> P:
     """
     Create an object or a fixture from its description.
@@ -160,21 +160,21 @@ def create_described(values: Mapping[str, Any], kind: type[P], where: str, folde
     try:
         form = kind_of(values)
     except ValueError as error:
-        raise ModelError(f'{where}: {error}') from None
-    description = checked(form, values, where)
+        raise ModelError(f'{source}: {error}') from None
+    description = checked(form, values, source)
     inferred: list[str] = []
     try:
         if isinstance(description, ShapeDescription):
-            spec, origin = _shape_spec(description), where
+            spec, origin = _shape_spec(description), source
         elif isinstance(description, MeshDescription):
-            (spec, inferred), origin = mesh_spec(description, folder, where, files), where
+            (spec, inferred), origin = mesh_spec(description, folder, source, files), source
         else:
             spec, origin = _file_spec(description, folder, files, inferred)
         item = kind(description.name or _own_name(spec), spec, origin, description.visual)
     except ModelError as error:
-        if isinstance(error, UnknownNameError) or str(error).startswith(where):
+        if isinstance(error, UnknownNameError) or str(error).startswith(source):
             raise
-        raise ModelError(f'{where}: {error}') from error
+        raise ModelError(f'{source}: {error}') from error
     if files is not None:
         _check_dof(item)
     item.inferred += inferred
@@ -186,8 +186,8 @@ def _from_values(values: Mapping[str, Any], begin: str, folder: Path,
                  unnamed: str = 'object without a name', files: Files | None = None
                  ) -> ObjectModel:
     name = values.get('name')
-    where = begin + (unnamed if name is None else f'object {quoted(name)}')
-    return create_described(values, ObjectModel, where, folder, files)
+    source = begin + (unnamed if name is None else f'object {quoted(name)}')
+    return create_described(values, ObjectModel, source, folder, files)
 
 
 def _shape_spec(description: ShapeDescription) -> mujoco.MjSpec:
@@ -253,7 +253,7 @@ _SEEN, _TOUCHED = 2, 3
 _CONCAVITY, _SEED = 0.05, 0
 
 
-def mesh_spec(description: MeshDescription, folder: Path, where: str, files: Files | None
+def mesh_spec(description: MeshDescription, folder: Path, source: str, files: Files | None
               ) -> tuple[mujoco.MjSpec, list[str]]:
     """
     Return a spec with one body of the shape of a mesh, and the inferences.
@@ -262,9 +262,9 @@ def mesh_spec(description: MeshDescription, folder: Path, where: str, files: Fil
 
     :param files: those that may be read, whose contents are kept; None: all, by their paths
     """
-    spec = _read_mesh(description, folder, where, files)
+    spec = _read_mesh(description, folder, source, files)
     spec.compiler.balanceinertia = True
-    compiled = compile_spec(spec, where)
+    compiled = compile_spec(spec, source)
     hull_kg = float(compiled.body_mass[1])
     if description.visual:
         return spec, []
@@ -273,26 +273,26 @@ def mesh_spec(description: MeshDescription, folder: Path, where: str, files: Fil
             return spec, [f'touched at its convex hull, {hull_kg:.4g} kg']
         return spec, ["touched at its convex hull ('collision: parts' keeps holes)"]
     if files is not None:
-        raise ModelError(f"{where}: 'collision: parts' takes long, and is not for requests: use "
+        raise ModelError(f"{source}: 'collision: parts' takes long, and is not for requests: use "
                          "'hull', or MJCF with the parts")
     parts = _parts_of(compiled)
     if parts is None:
         return spec, ['touched at its convex hull, as coacd, which finds convex parts, is not '
                       'installed']
-    _add_parts(spec, parts, description, where)
+    _add_parts(spec, parts, description, source)
     return spec, [f'touched at {pluralize(len(parts), "convex part")}, found by coacd']
 
 
-def _read_mesh(description: MeshDescription, folder: Path, where: str, files: Files | None
+def _read_mesh(description: MeshDescription, folder: Path, source: str, files: Files | None
                ) -> mujoco.MjSpec:
     root = ElementTree.Element('mujoco')
     asset = ElementTree.SubElement(root, 'asset')
-    held = SelfContainedModel(where, [Document(root, {})], is_light=False)
+    held = SelfContainedModel(source, [Document(root, {})], is_light=False)
     named = {'mesh': description.file}
     if description.texture is not None:
         named['texture'] = description.texture
     for kind, name in named.items():
-        named[kind] = _file(kind, folder / name, where, files, held)
+        named[kind] = _file(kind, folder / name, source, files, held)
     scale = (description.scale * 3)[:3]
     ElementTree.SubElement(asset, 'mesh', name='mesh', file=named['mesh'], inertia='convex',
                            scale=' '.join(map(repr, scale)))
@@ -311,13 +311,14 @@ def _read_mesh(description: MeshDescription, folder: Path, where: str, files: Fi
         geom.set('material', 'material')
         if 'rgba' not in description.model_fields_set:
             geom.set('rgba', '1 1 1 1')
-    return spec_from_documents(held.documents, Path(where)) if files is None else held.load()
+    return spec_from_documents(held.documents, Path(source)) if files is None else held.load()
 
 
-def _file(kind: str, file: Path, where: str, files: Files | None, held: SelfContainedModel) -> str:
+def _file(kind: str, file: Path, source: str, files: Files | None, held: SelfContainedModel
+          ) -> str:
     """Return the name of a file in MJCF, after checks."""
     if file.suffix.lower() not in SPAWNED_SUFFIXES[kind]:
-        raise ModelError(f'{where}: the {kind} {quoted(str(file), 200)} must be '
+        raise ModelError(f'{source}: the {kind} {quoted(str(file), 200)} must be '
                          f'{" or ".join(SPAWNED_SUFFIXES[kind])}')
     if files is None:
         check_file(file, f'{kind} file')
@@ -353,7 +354,7 @@ def _parts_of(compiled: mujoco.MjModel) -> list[tuple[FloatArray, FloatArray]] |
 
 
 def _add_parts(spec: mujoco.MjSpec, parts: list[tuple[FloatArray, FloatArray]],
-               description: MeshDescription, where: str) -> None:
+               description: MeshDescription, source: str) -> None:
     """Add shapes that touch and have the mass, and let the mesh only be seen."""
     body, seen = spec.worldbody.bodies[0], spec.geom(SHAPE_GEOM)
     seen.contype, seen.conaffinity, seen.group, seen.mass = 0, 0, _SEEN, 0.0
@@ -368,6 +369,6 @@ def _add_parts(spec: mujoco.MjSpec, parts: list[tuple[FloatArray, FloatArray]],
         geom.friction = seen.friction
         geoms.append(geom)
     if description.mass is not None:
-        whole_kg = float(compile_spec(spec, where).body_mass[1])
+        whole_kg = float(compile_spec(spec, source).body_mass[1])
         for geom in geoms:
             geom.density *= description.mass / whole_kg

@@ -40,11 +40,11 @@ NOT_SPAWNED = {
     'nplastic': 'plastic joints'}
 
 
-def check_object_name(name: str, where: str,
-                      what: str = 'an object, its body and its topics') -> None:
+def check_object_name(name: str, source: str,
+                      owner: str = 'an object, its body and its topics') -> None:
     """Reject a name that a body and topics cannot have."""
     if not _NAME.fullmatch(name) or name == 'world':
-        raise ModelError(f'{where}: {quoted(name)} cannot be the name of {what}: it needs a '
+        raise ModelError(f'{source}: {quoted(name)} cannot be the name of {owner}: it needs a '
                          'letter, then at most 63 letters, digits and underscores, and must not '
                          "be 'world'")
 

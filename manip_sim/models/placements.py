@@ -149,48 +149,49 @@ class Extent:
     quat_wxyz: FloatArray
 
 
-def read_placements(given: Any, where: str) -> list[Placement]:
+def read_placements(areas: Any, source: str) -> list[Placement]:
     """Read areas by name."""
-    if not isinstance(given, Mapping):
-        raise ModelError(f"{where}: 'placements' must hold areas by name, "
-                         f'got {format_value(given)}')
-    return [_read(str(name), values, f'{where}: placement {quoted(name)}')
-            for name, values in given.items()]
+    if not isinstance(areas, Mapping):
+        raise ModelError(f"{source}: 'placements' must hold areas by name, "
+                         f'got {format_value(areas)}')
+    return [_read(str(name), values, f'{source}: placement {quoted(name)}')
+            for name, values in areas.items()]
 
 
-def _read(name: str, values: Any, where: str) -> Placement:
+def _read(name: str, values: Any, source: str) -> Placement:
     if not isinstance(values, Mapping):
-        raise ModelError(f'{where} needs keys and values, got {format_value(values)}')
+        raise ModelError(f'{source} needs keys and values, got {format_value(values)}')
     for key in values:
         if key not in _KEYS:
-            raise ModelError(f'{where}: unknown key {quoted(key)}: {describe_choices(key, _KEYS)}')
+            raise ModelError(f'{source}: unknown key {quoted(key)}: '
+                             f'{describe_choices(key, _KEYS)}')
     objects = values.get('objects')
     if not isinstance(objects, list) or not objects or len(set(map(str, objects))) != len(objects):
-        raise ModelError(f"{where}: 'objects' must be a list of names, each once, got "
+        raise ModelError(f"{source}: 'objects' must be a list of names, each once, got "
                          f'{format_value(objects)}')
     spans = []
     for key in ('x', 'y'):
         span = values.get(key)
         if not isinstance(span, list) or len(span) != 2:
-            raise ModelError(f"{where}: '{key}' must be [low, high] in m, "
+            raise ModelError(f"{source}: '{key}' must be [low, high] in m, "
                              f'got {format_value(span)}')
-        low, high = (_number(number, key, where, -_MOST) for number in span)
+        low, high = (_number(number, key, source, -_MOST) for number in span)
         if low > high:
             raise ModelError(
-                f"{where}: '{key}' must be [low, high] in m, got {format_value(span)}")
+                f"{source}: '{key}' must be [low, high] in m, got {format_value(span)}")
         spans.append((low, high))
     if 'z' not in values:
-        raise ModelError(f"{where} needs 'z', the height of the surface in m")
-    yaw = _number(values.get('yaw', math.pi), 'yaw', where, 0.0)
+        raise ModelError(f"{source} needs 'z', the height of the surface in m")
+    yaw = _number(values.get('yaw', math.pi), 'yaw', source, 0.0)
     return Placement(name, tuple(map(str, objects)), (spans[0][0], spans[1][0]),
-                     (spans[0][1], spans[1][1]), _number(values['z'], 'z', where, -_MOST),
-                     min(yaw, math.pi), _number(values.get('margin', 0.0), 'margin', where, 0.0))
+                     (spans[0][1], spans[1][1]), _number(values['z'], 'z', source, -_MOST),
+                     min(yaw, math.pi), _number(values.get('margin', 0.0), 'margin', source, 0.0))
 
 
-def _number(value: Any, key: str, where: str, least: float) -> float:
+def _number(value: Any, key: str, source: str, least: float) -> float:
     if (isinstance(value, bool) or not isinstance(value, (int, float))
             or not least <= value <= _MOST):
-        raise ModelError(f"{where}: '{key}' needs numbers from {least:g} to {_MOST:g}, got "
+        raise ModelError(f"{source}: '{key}' needs numbers from {least:g} to {_MOST:g}, got "
                          f'{format_value(value)}')
     return float(value)
 

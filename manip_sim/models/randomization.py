@@ -253,14 +253,14 @@ class _Reader:
             raise ModelError(f'{self._where(*path)}: unknown {kind} {quoted(key)}: '
                              f'{describe_choices(key, choices)}')
 
-    def _mapping(self, value: Any, what: str, *path: str) -> Mapping[str, Any]:
+    def _mapping(self, value: Any, need: str, *path: str) -> Mapping[str, Any]:
         if not isinstance(value, Mapping) or not value:
-            raise ModelError(f'{self._where(*path)}: {what}, got {format_value(value)}')
+            raise ModelError(f'{self._where(*path)}: {need}, got {format_value(value)}')
         return value
 
-    def rules(self, given: Mapping[str, Any]) -> Iterable[Rule]:
+    def rules(self, groups: Mapping[str, Any]) -> Iterable[Rule]:
         """Yield the rules."""
-        for group, patterns in given.items():
+        for group, patterns in groups.items():
             self._known('group', group, (*GROUPS, PLACEMENTS), group)
             for pattern, inner in self._mapping(
                     patterns, f'{group} needs names and what is drawn', group).items():
@@ -292,56 +292,56 @@ class _Reader:
         kind, numbers = next(iter(inner.items()))
         self._known('distribution', kind, (*DISTRIBUTIONS, *(SCALE, OFFSET) * (way == ABSOLUTE)),
                     *path, kind)
-        limits, where = GROUPS[group][quantity], self._where(*path, kind)
+        limits, place = GROUPS[group][quantity], self._where(*path, kind)
         if way not in limits.ways:
-            raise ModelError(f'{where}: {quantity} of {group} can be drawn as '
+            raise ModelError(f'{place}: {quantity} of {group} can be drawn as '
                              f'{" or ".join(limits.ways)}, not as {way}')
-        rows = self._numbers(kind, numbers, limits, where)
-        _check(kind, way, rows, limits, f'{where}: {quantity}, {kind}')
-        return Rule(group, pattern, quantity, way, kind, rows, where)
+        rows = self._numbers(kind, numbers, limits, place)
+        _check(kind, way, rows, limits, f'{place}: {quantity}, {kind}')
+        return Rule(group, pattern, quantity, way, kind, rows, place)
 
-    def _numbers(self, kind: str, numbers: Any, limits: Quantity, where: str
+    def _numbers(self, kind: str, numbers: Any, limits: Quantity, place: str
                  ) -> tuple[tuple[float, ...], ...]:
         """Return the parameters of a distribution as rows of the same length."""
         if not isinstance(numbers, (list, tuple)) or (
                 not numbers if kind == 'choice' else len(numbers) != 2):
             form = ('a list with choices' if kind == 'choice' else
                     '[mean, standard deviation]' if kind == 'normal' else '[low, high]')
-            raise ModelError(f'{where}: {kind} needs {form}, got {format_value(numbers)}')
+            raise ModelError(f'{place}: {kind} needs {form}, got {format_value(numbers)}')
         rows = []
         for number in numbers:
             row = number if isinstance(number, (list, tuple)) else [number]
             for value in row:
                 if (isinstance(value, bool) or not isinstance(value, (int, float))
                         or not abs(value) <= mujoco.mjMAXVAL):
-                    raise ModelError(f'{where}: {kind} needs numbers within {mujoco.mjMAXVAL:g}, '
+                    raise ModelError(f'{place}: {kind} needs numbers within {mujoco.mjMAXVAL:g}, '
                                      f'got {format_value(value)}')
             if len(row) != 1 and (len(row) > limits.length or not row):
-                raise ModelError(f'{where}: {kind} needs a number or a list of up to '
+                raise ModelError(f'{place}: {kind} needs a number or a list of up to '
                                  f'{limits.length}, got {format_value(number)}')
             rows.append(tuple(float(value) for value in row))
         if len({len(row) for row in rows}) != 1:
-            raise ModelError(f'{where}: {kind} needs numbers or lists of one length, got '
+            raise ModelError(f'{place}: {kind} needs numbers or lists of one length, got '
                              f'{format_value(numbers)}')
         return tuple(rows)
 
 
 def _check(kind: str, way: str, rows: tuple[tuple[float, ...], ...], limits: Quantity,
-           where: str) -> None:
+           place: str) -> None:
     """Reject distributions that make no sense."""
     if kind in ('uniform', 'log_uniform'):
         for low, high in zip(*rows):
             if low > high:
-                raise ModelError(f'{where}: low must not be above high, got [{low:g}, {high:g}]')
+                raise ModelError(f'{place}: low must not be above high, got [{low:g}, {high:g}]')
     if kind == 'log_uniform' and min(rows[0]) <= 0.0:
-        raise ModelError(f'{where}: low must be above 0, got {min(rows[0]):g}')
+        raise ModelError(f'{place}: low must be above 0, got {min(rows[0]):g}')
     if kind == 'normal' and min(rows[1]) < 0.0:
-        raise ModelError(f'{where}: a standard deviation must be at least 0, got '
+        raise ModelError(f'{place}: a standard deviation must be at least 0, got '
                          f'{min(rows[1]):g}')
     named = rows[:1] if kind == 'normal' else rows
     least, most = min(min(row) for row in named), max(max(row) for row in named)
     if way == ABSOLUTE and (least < limits.low or most > limits.high):
-        raise ModelError(f'{where}: values must be from {limits.low:g} to {limits.high:g}, got '
+        raise ModelError(f'{place}: values must be from {limits.low:g} to {limits.high:g}, got '
                          f'{least if least < limits.low else most:g}')
     if way == SCALE and limits.low >= 0.0 and least < 0.0:
-        raise ModelError(f'{where}: factors must be at least 0, got {least:g}')
+        raise ModelError(f'{place}: factors must be at least 0, got {least:g}')

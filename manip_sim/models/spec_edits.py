@@ -54,7 +54,7 @@ class TakenNames:
         new._by_list = {elements: set(names) for elements, names in self._by_list.items()}
         return new
 
-    def add(self, own: mujoco.MjSpec, prefix: str, part: str) -> None:
+    def add(self, added: mujoco.MjSpec, prefix: str, part: str) -> None:
         """
         Reject attaching a spec that has one of the names, else add its names.
 
@@ -62,7 +62,7 @@ class TakenNames:
 
         :param prefix: begin of its names
         """
-        lists = {elements: getattr(own, elements) for elements in self._by_list}
+        lists = {elements: getattr(added, elements) for elements in self._by_list}
         names = {elements: [name for element in each
                             if (name := element.name) not in ('', 'world')]
                  for elements, each in lists.items()}
@@ -75,8 +75,8 @@ class TakenNames:
         for name in sorted(classes):
             if self._spec.find_default(prefix + name) is not None:
                 raise _taken('default class', prefix, name, part)
-        for elements, added in names.items():
-            self._by_list[elements].update(prefix + name for name in added)
+        for elements, own_names in names.items():
+            self._by_list[elements].update(prefix + name for name in own_names)
 
     def discard(self, elements: str, name: str) -> None:
         """Follow the deletion of an element from a list of the spec, such as ``bodies``."""
@@ -185,7 +185,7 @@ def _references_to_bodies(spec: mujoco.MjSpec) -> Iterator[tuple[Any, str]]:
             yield sensor, 'refname'
 
 
-def body_for(spec: mujoco.MjSpec, what: str, name: str, body: str, others: Mapping[str, str]
+def body_for(spec: mujoco.MjSpec, noun: str, name: str, body: str, others: Mapping[str, str]
              ) -> mujoco.MjsBody:
     """
     Return the body that a new element of a spec is fixed to.
@@ -198,10 +198,10 @@ def body_for(spec: mujoco.MjSpec, what: str, name: str, body: str, others: Mappi
     elements = {'body': spec.bodies, 'camera': spec.cameras, 'site': spec.sites}
     for kind, hint in others.items():
         if any(element.name == name for element in elements[kind]):
-            raise ModelError(f'{what}: there is a {kind} of this name already{hint}')
+            raise ModelError(f'{noun}: there is a {kind} of this name already{hint}')
     parent = spec.body(body)
     if parent is None:
-        raise UnknownNameError(f'body of the {what}', body,
+        raise UnknownNameError(f'body of the {noun}', body,
                                [element.name for element in spec.bodies])
     return parent
 
@@ -214,29 +214,30 @@ def begin_like(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return new
 
 
-def attach(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.MjsFrame) -> None:
+def attach(spec: mujoco.MjSpec, part_spec: mujoco.MjSpec, prefix: str, frame: mujoco.MjsFrame
+           ) -> None:
     """
     Attach a spec to another without MuJoCo's warnings; its global settings are left behind.
 
-    :param own: the spec to be attached, not to be used afterwards
+    :param part_spec: the spec to be attached, not to be used afterwards
     """
-    _yield_globals(own, spec)
-    if not prefix and spec.assets and not own.assets:
-        own.assets = dict(spec.assets)  # MuJoCo warns if only one of them holds files.
-    attach_as_is(spec, own, prefix, frame)
+    _yield_globals(part_spec, spec)
+    if not prefix and spec.assets and not part_spec.assets:
+        part_spec.assets = dict(spec.assets)  # MuJoCo warns if only one of them holds files.
+    attach_as_is(spec, part_spec, prefix, frame)
 
 
-def attach_as_is(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mujoco.MjsFrame
+def attach_as_is(spec: mujoco.MjSpec, part_spec: mujoco.MjSpec, prefix: str, frame: mujoco.MjsFrame
                  ) -> None:
     """
     Attach a spec to another, and leave sensors of no element, such as user sensors, without one.
 
     MuJoCo gives them the prefix as the name of an element; it does not read the XML of that.
     """
-    of_nothing = [not sensor.objname for sensor in own.sensors]
+    of_nothing = [not sensor.objname for sensor in part_spec.sensors]
     # Lists of elements are collected each time, which counts with hundreds of objects.
     present = len(spec.sensors) if any(of_nothing) else 0
-    spec.attach(own, prefix=prefix, frame=frame)
+    spec.attach(part_spec, prefix=prefix, frame=frame)
     if not any(of_nothing):
         return
     for sensor, is_of_nothing in zip(spec.sensors[present:], of_nothing):
@@ -244,21 +245,21 @@ def attach_as_is(spec: mujoco.MjSpec, own: mujoco.MjSpec, prefix: str, frame: mu
             sensor.objname = ''
 
 
-def _yield_globals(own: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
+def _yield_globals(part_spec: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
     """
     Give a spec the global settings of the one that it will be attached to.
 
     MuJoCo would keep the latter's anyway, but would warn of each that differs. Both get the larger
     sizes of memory and user data; the numbers of ``user`` values are left to the compiler.
     """
-    own.option, own.visual, own.stat = spec.option, spec.visual, spec.stat
+    part_spec.option, part_spec.visual, part_spec.stat = spec.option, spec.visual, spec.stat
     for size in _SIZES:
-        setattr(spec, size, max(getattr(own, size), getattr(spec, size)))
-        setattr(own, size, getattr(spec, size))
+        setattr(spec, size, max(getattr(part_spec, size), getattr(spec, size)))
+        setattr(part_spec, size, getattr(spec, size))
     for count in _OLD_SIZES:
-        setattr(own, count, getattr(spec, count))
+        setattr(part_spec, count, getattr(spec, count))
     for count in _USER_COUNTS:
-        setattr(own, count, -1)
+        setattr(part_spec, count, -1)
 
 
 def soften_contacts(spec: mujoco.MjSpec, timestep_s: float) -> None:
@@ -296,16 +297,16 @@ def fit_couplings(spec: mujoco.MjSpec, timestep_s: float) -> None:
             tie.solref[1] = max(tie.solref[1], _COUPLING_DAMPING)
 
 
-def name_main_default(own: mujoco.MjSpec) -> None:
+def name_main_default(part_spec: mujoco.MjSpec) -> None:
     """
     Rename the default class ``main`` of a spec.
 
     After attaching a spec without a prefix there would be two of that name.
     """
     name = 'arena'
-    while own.find_default(name) is not None:
+    while part_spec.find_default(name) is not None:
         name += '_main'
-    own.default.name = name
+    part_spec.default.name = name
 
 
 def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
@@ -379,7 +380,7 @@ def free_name(taken: Collection[str], wanted: str) -> str:
     return name
 
 
-def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
+def find_place(spec: mujoco.MjSpec, name: str, source: str) -> tuple[str, Any]:
     """Return ``body`` or ``site``, and the element of that name; a body goes before a site."""
     body = spec.body(name)
     if body is not None and name != 'world':
@@ -387,7 +388,7 @@ def find_place(spec: mujoco.MjSpec, name: str, where: str) -> tuple[str, Any]:
     site = spec.site(name)
     if site is not None:
         return 'site', site
-    raise UnknownNameError(f'body or site in {where}', name, [
+    raise UnknownNameError(f'body or site in {source}', name, [
         element.name for element in [*spec.bodies[1:], *spec.sites]])
 
 

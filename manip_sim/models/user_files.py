@@ -119,18 +119,18 @@ class AllowedRoots(Files):
     Only the files that are below some folders, wherever symbolic links lead.
 
     :param folders: may be read, with all below them
-    :param what: what the folders are, for messages, such as ``spawn_roots``
+    :param label: what the folders are, for messages, such as ``spawn_roots``
     :raises ModelError: if one is not a folder
     """
 
-    def __init__(self, folders: Iterable[str | os.PathLike[str]], what: str) -> None:
-        self._what = what
+    def __init__(self, folders: Iterable[str | os.PathLike[str]], label: str) -> None:
+        self._what = label
         self._given = [Path(folder).expanduser() for folder in folders]
         for folder in self._given:
             if not folder.is_dir():
-                raise ModelError(f'no such folder in {what}: {one_line(str(folder))}')
+                raise ModelError(f'no such folder in {label}: {one_line(str(folder))}')
         self._folders = [Path(os.path.realpath(folder)) for folder in self._given]
-        self.rule = (f'; only files below {what} may be read: '
+        self.rule = (f'; only files below {label} may be read: '
                      + ', '.join(one_line(str(folder)) for folder in self._given))
 
     def places(self, path: str) -> list[Path]:
@@ -273,12 +273,12 @@ class CachedFiles(Files):
         """
         return {name(file, content): file for file, content in self._contents.items()}
 
-    def _asked(self, what: str, path: Path, unknown: Any) -> Any:
+    def _asked(self, question: str, path: Path, unknown: Any) -> Any:
         if self._files is None:
-            return self._answers.get((what, path), unknown)
-        if (what, path) not in self._answers:
-            self._answers[what, path] = getattr(self._files, what)(path)
-        return self._answers[what, path]
+            return self._answers.get((question, path), unknown)
+        if (question, path) not in self._answers:
+            self._answers[question, path] = getattr(self._files, question)(path)
+        return self._answers[question, path]
 
 
 class InMemoryFile(Files):
@@ -393,28 +393,28 @@ def read_yaml(file: str | os.PathLike[str], loader: type[StrictLoader] = StrictL
     return parse_yaml(content, str(path), loader)
 
 
-def parse_yaml(content: str | bytes, where: str, loader: type[StrictLoader] = StrictLoader
+def parse_yaml(content: str | bytes, source: str, loader: type[StrictLoader] = StrictLoader
                ) -> dict[str, Any]:
     """Return the mapping that a text holds."""
     if len(content) > _MAX_BYTES:
-        raise ModelError(f'{where} is larger than {_MAX_BYTES} bytes')
+        raise ModelError(f'{source} is larger than {_MAX_BYTES} bytes')
     try:
         values = yaml.load(content, Loader=loader)  # noqa: S506, a kind of SafeLoader
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
-        raise ModelError(f'{where} is invalid or unsafe YAML: {_on_one_line(error)}') from None
+        raise ModelError(f'{source} is invalid or unsafe YAML: {_on_one_line(error)}') from None
     if values is None:
         return {}
     if not isinstance(values, dict):
-        raise ModelError(f'{where} must hold keys and values, got {format_value(values)}')
+        raise ModelError(f'{source} must hold keys and values, got {format_value(values)}')
     return values
 
 
-def parse_requested(content: bytes, where: str) -> dict[str, Any]:
+def parse_requested(content: bytes, source: str) -> dict[str, Any]:
     """Return the mapping that a text of a request holds, which must be short."""
     if len(content) > _MAX_REQUESTED:
-        raise ModelError(f'{where} has {len(content)} bytes, and at most {_MAX_REQUESTED} are '
+        raise ModelError(f'{source} has {len(content)} bytes, and at most {_MAX_REQUESTED} are '
                          'read')
-    return parse_yaml(content, where)
+    return parse_yaml(content, source)
 
 
 def _on_one_line(error: Exception) -> str:

@@ -133,8 +133,8 @@ class XmlModel:
             self.origins[element] = self._chain[-1], parser.CurrentLineNumber
 
         def reject_entities(name: str, *_: object) -> NoReturn:
-            where = f'{one_line(str(self._chain[-1]))}, line {parser.CurrentLineNumber}'
-            raise ModelError(f'{where}: the entity {quoted(name)} is declared; models must not '
+            place = f'{one_line(str(self._chain[-1]))}, line {parser.CurrentLineNumber}'
+            raise ModelError(f'{place}: the entity {quoted(name)} is declared; models must not '
                              'declare any')
 
         parser.StartElementHandler = trace
@@ -237,7 +237,7 @@ def mended_xml(data: bytes) -> bytes:
 
 def _with_quotes(tag: re.Match[bytes]) -> bytes:
     """Return a tag with its values in quotes."""
-    return _UNQUOTED.sub(lambda found: found[1] + b'"' + found[2] + b'"' if found[1] else found[0],
+    return _UNQUOTED.sub(lambda match: match[1] + b'"' + match[2] + b'"' if match[1] else match[0],
                          tag[0])
 
 

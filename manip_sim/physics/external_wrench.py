@@ -230,8 +230,8 @@ class RobotForces(BodyForces):
     def _summed(self, rows: FloatArray, centres: FloatArray) -> FloatArray:
         torque, force = np.add.reduce(rows).reshape(-1, 2, 3).transpose(1, 0, 2)
         moved = np.einsum('ki,kmj->mij', centres, rows[..., 3:])
-        moment = np.stack([moved[:, one, two] - moved[:, two, one]
-                           for one, two in ((1, 2), (2, 0), (0, 1))], axis=1)
+        moment = np.stack([moved[:, first, second] - moved[:, second, first]
+                           for first, second in ((1, 2), (2, 0), (0, 1))], axis=1)
         return np.concatenate([force, torque + moment], axis=1)
 
     @property

@@ -274,12 +274,12 @@ class ElementMap:
         self._places[size] = pairs[:, 0], pairs[:, 1]
 
     def _add_parts(self, old: Any, new: Any, whole: str, size: str, spans: Spans) -> None:
-        one, other = self._places[whole]
+        rows, new_rows = self._places[whole]
         (first, count), (new_first, new_count) = spans(old), spans(new)
-        counts = np.minimum(count[one], new_count[other])
+        counts = np.minimum(count[rows], new_count[new_rows])
         within = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
-        self._places[size] = (np.repeat(first[one], counts) + within,
-                              np.repeat(new_first[other], counts) + within)
+        self._places[size] = (np.repeat(first[rows], counts) + within,
+                              np.repeat(new_first[new_rows], counts) + within)
 
     def rows(self, size: str, old: Any, new: Any) -> tuple[IntArray, IntArray]:
         """

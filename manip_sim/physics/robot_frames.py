@@ -118,17 +118,17 @@ class RobotFrames:
         for frame in self._frames.values():
             frame.rebind(model)
 
-    def find(self, name: str, what: str) -> Frame:
+    def find(self, name: str, needed_by: str) -> Frame:
         """
         Return a frame.
 
         :param name: of the frame; empty for ``world``
-        :param what: what needs it, for the message
+        :param needed_by: what needs it, for the message
         :raises CommandError: naming the nearest frames if there is none of this name
         """
         frame = self._frames.get(name or WORLD)
         if frame is None:
-            raise CommandError(f'{what}: unknown frame {quoted(name)}: '
+            raise CommandError(f'{needed_by}: unknown frame {quoted(name)}: '
                                f'{describe_choices(name, self._frames)}')
         return frame
 

@@ -208,18 +208,18 @@ class UncollectedForces:
         on_tool[first:end] = True
         sites, cranks, adhesions = [], [], []
         for actuator, kind in enumerate(model.actuator_trntype.tolist()):
-            one, other = model.actuator_trnid[actuator].tolist()
+            target, reference = model.actuator_trnid[actuator].tolist()
             if kind == _BODY:
-                adhesions.append((actuator, one))
+                adhesions.append((actuator, target))
             elif kind in (_SITE, _CRANK):
-                has_one = bool(on_tool[model.site_bodyid[one]])
-                has_other = other >= 0 and bool(on_tool[model.site_bodyid[other]])
+                has_one = bool(on_tool[model.site_bodyid[target]])
+                has_other = reference >= 0 and bool(on_tool[model.site_bodyid[reference]])
                 if kind == _CRANK and has_one != has_other:
-                    cranks.append((actuator, one, other))
+                    cranks.append((actuator, target, reference))
                 elif has_one != has_other:
-                    axes = other if other >= 0 else one
-                    sites.append((actuator, one, axes, 1.0) if has_one else
-                                 (actuator, other, axes, -1.0))
+                    axes = reference if reference >= 0 else target
+                    sites.append((actuator, target, axes, 1.0) if has_one else
+                                 (actuator, reference, axes, -1.0))
         return cls(first, end, tuple(sites), tuple(cranks), tuple(adhesions),
                    _is_tied_by_tendons(model, on_tool), FlexForces.of(model, bodies))
 

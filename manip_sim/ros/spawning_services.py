@@ -342,7 +342,8 @@ class SpawningServices:
         if may_rename:
             requested = _OTHER_CHARACTERS.sub('_', requested).lstrip('_0123456789') or UNNAMED
         return free_name(requested, may_rename, {*self._simulation.entities.names, *also_taken},
-                         'there is an entity {} already', partial(check_object_name, where='name'))
+                         'there is an entity {} already',
+                         partial(check_object_name, source='name'))
 
     async def _delete(self, request: Any, _: Any) -> None:
         name, plan = request.entity, self._simulation.plan

@@ -42,8 +42,8 @@ class ImageNoise:
     pixel: float
     depth: float
 
-    def _draw(self, what: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        random = generator(self.seed, f'{self.camera} {what}', self.count)
+    def _draw(self, purpose: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        random = generator(self.seed, f'{self.camera} {purpose}', self.count)
         return random.standard_normal(shape, dtype=np.float32)
 
     def on_colours(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

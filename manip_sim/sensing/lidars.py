@@ -161,12 +161,12 @@ class Lidars(Mapping[str, Lidar]):
     :param sensing_of: returns the measurements of the robot that has a body
     """
 
-    def __init__(self, present: Present, found: Iterable[FixedLidar],
+    def __init__(self, present: Present, fixed_lidars: Iterable[FixedLidar],
                  sensing_of: Callable[[str], RobotSensing]) -> None:
         self._present = present
         self._all: dict[str, Lidar] = {}
         self._sensing: dict[str, RobotSensing] = {}
-        for fixed in found:
+        for fixed in fixed_lidars:
             lidar = self._all[fixed.name] = Lidar(fixed.name, fixed.rays)
             sensing = self._sensing[fixed.name] = sensing_of(fixed.body)
             sensing.add(self._channel(fixed.name), functools.partial(self.exact, fixed.name),

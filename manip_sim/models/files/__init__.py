@@ -94,10 +94,10 @@ class FileMobileBase(FileBase, MobileBaseModel, registered=False):
         return -self.base_offset if free else self.base_offset
 
 
-def base_of_file(file: Path, description: BaseDescription, where: str, idn: int | str = 0
+def base_of_file(file: Path, description: BaseDescription, source: str, idn: int | str = 0
                  ) -> FileBase:
     """Create a base from a file and its description."""
-    model_file = read_model(file, description, where, servos=False)
+    model_file = read_model(file, description, source, servos=False)
     model = compile_copy(model_file.spec, str(file))
     tree = BodyTree(model)
     if model.njnt == 0:
@@ -111,7 +111,7 @@ def base_of_file(file: Path, description: BaseDescription, where: str, idn: int 
         support = tree.name(ends[0]) if len(ends) == 1 else bodies[0]
         model_file.inferred.append(f"the robot stands on body '{support}'")
     if support not in bodies:
-        raise UnknownNameError(f"body in 'support' of {where}", support, bodies)
+        raise UnknownNameError(f"body in 'support' of {source}", support, bodies)
     top = np.array(description.top) if description.top is not None else np.zeros(3)
     base = FileMobileBase(model_file, top, idn, loose)
     base.support_body = support
@@ -148,31 +148,31 @@ class FileArena(Arena, registered=False):
 
     :param file: MJCF; or a YAML file whose description names another arena, or only parts
     :param description: what the YAML file says
-    :param where: the file that the description was read from, for messages
+    :param source: the file that the description was read from, for messages
     :raises ModelError: if something cannot be read, or does not fit together
     :ivar inferred: the inferences and omissions, in sentences
     """
 
-    def __init__(self, file: Path, description: ArenaDescription, where: str) -> None:
+    def __init__(self, file: Path, description: ArenaDescription, source: str) -> None:
         self._description = description
         self._other: Arena | None = None
         self.inferred: list[str] = []
         for key, kind in (('xacro_args', 'xacro'), ('meshes', 'URDF')):
             if getattr(description, key):
-                raise ModelError(f"{where}: '{key}' is for robots, grippers and bases in {kind}; "
+                raise ModelError(f"{source}: '{key}' is for robots, grippers and bases in {kind}; "
                                  'an arena is MJCF')
         if file.suffix.lower() in _YAML:
             self._other = (EmptyArena() if description.arena is None else
                            create_arena(description.arena, **description.parameters))
             self.inferred += getattr(self._other, 'inferred', [])
         elif description.arena is not None or description.parameters:
-            raise ModelError(f"{where}: give 'model', or 'arena' with its 'parameters', not both")
+            raise ModelError(f"{source}: give 'model', or 'arena' with its 'parameters', not both")
         super().__init__(file)
         self.arena_name = file.stem  # type: ignore[misc]
         if self._other is not None:
             self._objects += self._other.objects
             self.placements += self._other.placements
-        self._add_parts(Path(where).parent, where)
+        self._add_parts(Path(source).parent, source)
 
     @property
     def name(self) -> str:
@@ -195,19 +195,20 @@ class FileArena(Arena, registered=False):
             self.inferred.append(f'left out: {pluralize(unnamed, "keyframe")} without a name')
         return spec
 
-    def _add_parts(self, folder: Path, where: str) -> None:
+    def _add_parts(self, folder: Path, source: str) -> None:
         """Add the fixtures, objects and placements of the description."""
         for values in self._description.fixtures:
-            fixture = create_described(values, FixtureModel, _named('fixture', values, where),
+            fixture = create_described(values, FixtureModel, _named('fixture', values, source),
                                        folder)
             self.add_fixture(fixture)
             self.inferred += [f"'{fixture.name}': {said}" for said in fixture.inferred]
         for entry in self._description.objects:
             for item in (load_objects(folder / entry) if isinstance(entry, str) else [
-                    create_described(entry, ObjectModel, _named('object', entry, where), folder)]):
+                    create_described(entry, ObjectModel, _named('object', entry, source),
+                                     folder)]):
                 self.add_object(item)
         check_object_names(self._objects)
-        self.placements += read_placements(self._description.placements, where)
+        self.placements += read_placements(self._description.placements, source)
         check_placed(self.placements, self._objects)
 
     @property
@@ -229,9 +230,9 @@ class FileArena(Arena, registered=False):
         return np.zeros(3) if self._other is None else self._other.robot_position(robot)
 
 
-def _named(kind: str, values: dict[str, Any], where: str) -> str:
+def _named(kind: str, values: dict[str, Any], source: str) -> str:
     name = values.get('name')
-    return f'{where}: {kind} {"without a name" if name is None else quoted(name)}'
+    return f'{source}: {kind} {"without a name" if name is None else quoted(name)}'
 
 
 def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:
@@ -246,8 +247,8 @@ def load_robot(path: str | PathLike[str], idn: int | str = 0) -> FileRobot:
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known
     """
-    model, description, where = find_model(Path(path), RobotDescription, 'robot')
-    plan = plan_robot(model, description, where)
+    model, description, source = find_model(Path(path), RobotDescription, 'robot')
+    plan = plan_robot(model, description, source)
     return (FileManipulator if plan.ends else FileRobot)(plan, idn)
 
 
@@ -261,8 +262,8 @@ def load_gripper(path: str | PathLike[str], idn: int | str = 0) -> FileGripper:
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known
     """
-    model, description, where = find_model(Path(path), GripperDescription, 'gripper')
-    return FileGripper(model, description, where, idn)
+    model, description, source = find_model(Path(path), GripperDescription, 'gripper')
+    return FileGripper(model, description, source, idn)
 
 
 def load_base(path: str | PathLike[str], idn: int | str = 0) -> FileBase:
@@ -276,8 +277,8 @@ def load_base(path: str | PathLike[str], idn: int | str = 0) -> FileBase:
     :raises ModelError: if something cannot be read or does not fit together
     :raises UnknownNameError: if the YAML file has a key or name that is not known
     """
-    model, description, where = find_model(Path(path), BaseDescription, 'base')
-    return base_of_file(model, description, where, idn)
+    model, description, source = find_model(Path(path), BaseDescription, 'base')
+    return base_of_file(model, description, source, idn)
 
 
 def load_arena(path: str | PathLike[str]) -> FileArena:
@@ -289,8 +290,8 @@ def load_arena(path: str | PathLike[str]) -> FileArena:
     :raises ModelError: if something cannot be read
     :raises UnknownNameError: if the YAML file has a key or name that is not known
     """
-    model, description, where = find_model(Path(path), ArenaDescription, 'arena')
-    return FileArena(model, description, where)
+    model, description, source = find_model(Path(path), ArenaDescription, 'arena')
+    return FileArena(model, description, source)
 
 
 __all__ = ['FileArena', 'FileBase', 'FileGripper', 'FileManipulator', 'FileRobot', 'load_arena',

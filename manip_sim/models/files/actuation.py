@@ -201,9 +201,9 @@ def _ratios(model: mujoco.MjModel, leader: int) -> dict[int, float]:
             constant = not model.eq_data[tie, 2:5].any() and model.eq_data[tie, 1]
             if not constant:
                 continue
-            for one, another, ratio in ((other, follower, model.eq_data[tie, 1]),
-                                        (follower, other, 1.0 / model.eq_data[tie, 1])):
-                if one == joint and another >= 0 and another not in ratios:
+            for driver, another, ratio in ((other, follower, model.eq_data[tie, 1]),
+                                           (follower, other, 1.0 / model.eq_data[tie, 1])):
+                if driver == joint and another >= 0 and another not in ratios:
                     ratios[another] = ratios[joint] * float(ratio)
                     waiting.append(another)
     return ratios

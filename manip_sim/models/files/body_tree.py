@@ -128,9 +128,10 @@ class BodyTree:
                  for way, by_joint in zip(ways, of_joints)]
         if len(ways) == 2 and sides == [None, None]:
             for names in zip(*(map(self.name, way[shared:]) for way in ways)):
-                (one, first), (other, second) = ((name[:1].lower(), name[1:]) for name in names)
-                if first == second and {one, other} == {'l', 'r'}:
-                    return [_SIDES[one], _SIDES[other]]
+                (side, first), (other_side, second) = (
+                    (name[:1].lower(), name[1:]) for name in names)
+                if first == second and {side, other_side} == {'l', 'r'}:
+                    return [_SIDES[side], _SIDES[other_side]]
         return sides
 
     def driven(self, actuator: int) -> set[int]:
@@ -277,9 +278,9 @@ class Limbs:
         limbs = self.on(link)
         limb_of = {body: limb for limb in limbs for body in self._tree.below(limb)}
         group_of = {limb: [limb] for limb in limbs}
-        for one, other in self._tree.tied_bodies():
-            if one in limb_of and other in limb_of:
-                group, added = group_of[limb_of[one]], group_of[limb_of[other]]
+        for first, second in self._tree.tied_bodies():
+            if first in limb_of and second in limb_of:
+                group, added = group_of[limb_of[first]], group_of[limb_of[second]]
                 if group is not added:
                     group += added
                     group_of.update(dict.fromkeys(added, group))
@@ -303,7 +304,7 @@ class Limbs:
             return []
         along = [axis for axis, kind in zip(axes, kinds) if kind == slide]
         hinge = next(axis for axis, kind in zip(axes, kinds) if kind != slide)
-        is_plane = max(abs(float(np.dot(one, other))) for one, other in (
+        is_plane = max(abs(float(np.dot(first, second))) for first, second in (
             along, (along[0], hinge), (along[1], hinge))) < _ALIGNED
         of_one_body = len(set(self._model.jnt_bodyid[joints].tolist())) == 1
         return joints if is_plane and (of_one_body or _is_vertical(hinge)) else []
@@ -458,8 +459,8 @@ class Limbs:
         are_named = len(set(carriers)) > 1 and all(
             words_of(tree.name(body)) & PALM_WORDS for body in carriers)
         lengths = [sorted(len(self.joints(limb)) for limb in group) for group in groups]
-        one, other = (self._data.xpos[list(group)].mean(axis=0) for group in groups)
-        return lengths[0] == lengths[1] and (are_named or length(one - other) > sum(
+        first, second = (self._data.xpos[list(group)].mean(axis=0) for group in groups)
+        return lengths[0] == lengths[1] and (are_named or length(first - second) > sum(
             max(map(self._reach, group)) for group in groups))
 
     def _reach(self, limb: int) -> float:

@@ -59,7 +59,7 @@ class HandFromFile(GripperModel, registered=False):
     #: True if the grasp frame was added.
     _has_grasp_frame = False
     #: Source of the description, for messages.
-    _where: str
+    _source: str
     _description: HandDescription
     _start: Mapping[str, float]
     #: Control that opens and that closes, by actuator that the description does not name.
@@ -80,16 +80,16 @@ class HandFromFile(GripperModel, registered=False):
         fingers = Fingers(tree, hand, self._start)
         point, mount = self._description.grasp_point, tree.name(hand.body)
         at = (point.at if point else None) or (None if point else fingers.grasp_frame()) or mount
-        place = find_place(spec, at, f"'grasp_point' of {self._where}")
+        place = find_place(spec, at, f"'grasp_point' of {self._source}")
         position = point.position if point else np.zeros(3)
         orientation: ArrayLike = point.orientation if point else np.zeros(3)
         if point is None and at == mount:
             position = (middle or fingers.grasp_point)()
             orientation = _upright(tree, hand.body)
         if point is None:
-            found = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
+            origin = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
             self.inferred.append(
-                'grasp frame: ' + (found if at == mount else f"{place[0]} '{at}'"))
+                'grasp frame: ' + (origin if at == mount else f"{place[0]} '{at}'"))
         self.grasp_point = FrameDescription(
             at=at, position=list(map(float, position)),
             orientation=np.asarray(orientation, dtype=float).tolist())
@@ -112,7 +112,7 @@ class HandFromFile(GripperModel, registered=False):
         declared = self._description.closing
         for name in declared:
             if name not in names:
-                raise UnknownNameError(f"actuator in 'closing' of {self._where}", name, names)
+                raise UnknownNameError(f"actuator in 'closing' of {self._source}", name, names)
         closings, changed = closing([name for name in names if name not in declared])
         closings.update(changed)
         self._found_closings = {name: ends[:2] for name, ends in closings.items()}
@@ -143,9 +143,9 @@ class HandFromFile(GripperModel, registered=False):
             if name in self._found_closings:  # The range may have been edited since.
                 opened, closed = min(max(opened, low), high), min(max(closed, low), high)
             if not all(low <= end <= high for end in (opened, closed)):
-                raise ModelError(f"'closing' of actuator '{name}' in {self._where} must be within "
-                                 f'its control range of {low:g} to {high:g}, got [{opened:g}, '
-                                 f'{closed:g}]')
+                raise ModelError(f"'closing' of actuator '{name}' in {self._source} must be "
+                                 f'within its control range of {low:g} to {high:g}, got '
+                                 f'[{opened:g}, {closed:g}]')
             self.closing[name] = [float(opened), float(closed)]
             span = (high - low) or 1.0
             ends.append(2.0 * (np.array([opened, closed]) - low) / span - 1.0)
@@ -229,13 +229,13 @@ class BuiltInGripper(HandFromFile, registered=False):
     :param start: where the robot's joints start, by name [rad or m]
     """
 
-    def __init__(self, arm: str, description: OwnHandDescription, where: str,
+    def __init__(self, arm: str, description: OwnHandDescription, source: str,
                  start: dict[str, float]) -> None:
         # Its file is the robot's, so there is nothing to load.
         self.idn = arm
         self._given_prefix = ''
         self._description = description
-        self._where = where
+        self._source = source
         self._start = start
         self.inferred = []
         self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
@@ -459,17 +459,17 @@ class FileGripper(HandFromFile, registered=False):
 
     :param file: MJCF or URDF
     :param description: what the YAML file says
-    :param where: the file that the description was read from, for messages
+    :param source: the file that the description was read from, for messages
     :param idn: number or word in names
     :raises ModelError: if the file or what the description says of it cannot be used
     """
 
     _refers_to_all = True  # As it was read with ``read_model``.
 
-    def __init__(self, file: Path, description: GripperDescription, where: str,
+    def __init__(self, file: Path, description: GripperDescription, source: str,
                  idn: int | str = 0) -> None:
         self._description: GripperDescription = description
-        self._where = where
+        self._source = source
         self._important_geoms = {**type(self)._important_geoms, **description.geoms_by_role}
         super().__init__(file, idn=idn)
         tree, hand = _whole(self._own_model)
@@ -486,7 +486,7 @@ class FileGripper(HandFromFile, registered=False):
 
     def _read(self) -> Any:
         declared = self._description
-        model_file = read_model(self.file, declared, self._where, _KEYFRAMES)
+        model_file = read_model(self.file, declared, self._source, _KEYFRAMES)
         self.inferred = model_file.inferred
         if model_file.mocap is not None:
             self.inferred += model_file.mocap.left_out()

@@ -75,7 +75,7 @@ class RobotPlan:
     depth_in_floor: float
 
 
-def plan_robot(file: Path, description: RobotDescription, where: str, files: Files | None = None
+def plan_robot(file: Path, description: RobotDescription, source: str, files: Files | None = None
                ) -> RobotPlan:
     """
     Read a robot and complete it.
@@ -83,7 +83,7 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     :raises ModelError: if the file or what the description says of it cannot be used
     :raises UnknownNameError: if the description has a name that the file lacks
     """
-    model_file = read_model(file, description, where, files=files, visual=False)
+    model_file = read_model(file, description, source, files=files, visual=False)
     _hang_fingers_on_palm(model_file)
     spec, tree, notes = model_file.spec, model_file.tree, model_file.inferred
     start = model_file.start
@@ -95,11 +95,11 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     if mocap is not None:
         notes += mocap.notes() if description.mocap else mocap.left_out()
         mocap = mocap.at_start(tree.model, start) if description.mocap else None
-    _check_joints(tree, description, where)
-    file_hands = _find_hands(tree, description, where)
+    _check_joints(tree, description, source)
+    file_hands = _find_hands(tree, description, source)
     subsystems = classify_joints(tree, description.subsystems,
                                  {joint for hand in file_hands for joint in hand.joints}, notes)
-    arms = _find_arms(model_file, tree, subsystems, file_hands, description, where)
+    arms = _find_arms(model_file, tree, subsystems, file_hands, description, source)
     hands = {side: arm.hand for side, arm in arms.items() if arm.hand is not None}
     shapes = _HandShapes(model_file, hands)
     if description.foot is None and {arm.why for arm in arms.values()} == {ALONE}:
@@ -112,16 +112,16 @@ def plan_robot(file: Path, description: RobotDescription, where: str, files: Fil
     others = [a for a in range(tree.model.nu) if a not in of_hands]
     loose, changes = own_each_joint(spec, tree, others)
     notes += changes
-    ends = {side: _add_end(spec, tree, side, arm, description, where, notes)
+    ends = {side: _add_end(spec, tree, side, arm, description, source, notes)
             for side, arm in arms.items()}
     own_hands = {side: _own_hand(spec, shapes, side, hand.in_tree(tree, shapes.light),
-                                 description, where, start) for side, hand in hands.items()}
+                                 description, source, start) for side, hand in hands.items()}
     of_hand_joints = {j for hand in hands.values() for j in hand.joints}
     by_name = {str(tree.model.joint(j).name): part for j, part in subsystems.items()
                if j not in of_hand_joints}
     _limit_velocities(spec, description.velocity_limits)
     notes += _subsystem_notes(by_name)
-    return RobotPlan(file, description, where, spec, start, by_name, ends, own_hands, arms, loose,
+    return RobotPlan(file, description, source, spec, start, by_name, ends, own_hands, arms, loose,
                      notes, model_file.keyframes, mocap, depth)
 
 
@@ -261,13 +261,13 @@ def _part_of_carrier(tree: BodyTree, subsystems: Mapping[int, str], joint: int) 
     return 'base' if part == 'base' and beside <= {'base', 'other'} else 'other'
 
 
-def _check_joints(tree: BodyTree, description: RobotDescription, where: str) -> None:
+def _check_joints(tree: BodyTree, description: RobotDescription, source: str) -> None:
     names = [str(tree.model.joint(j).name) for j in range(tree.model.njnt)]
     for key, joints in (('subsystems', description.subsystems),
                         ('velocity_limits', description.velocity_limits)):
         for joint in joints:
             if joint not in names:
-                raise UnknownNameError(f"joint in '{key}' of {where}", joint, names)
+                raise UnknownNameError(f"joint in '{key}' of {source}", joint, names)
 
 
 def _hand_description(arm: ArmDescription | None) -> OwnHandDescription | None:
@@ -279,7 +279,7 @@ def _hand_description(arm: ArmDescription | None) -> OwnHandDescription | None:
     return arm.hand
 
 
-def _find_hands(tree: BodyTree, description: RobotDescription, where: str) -> list[FoundHand]:
+def _find_hands(tree: BodyTree, description: RobotDescription, source: str) -> list[FoundHand]:
     """Return the hands that the description names, else those that are found."""
     declared = []
     for side, arm in description.by_arm.items():
@@ -287,14 +287,14 @@ def _find_hands(tree: BodyTree, description: RobotDescription, where: str) -> li
         if hand is not None and hand.body is not None:
             bodies = {tree.name(body): body for body in range(1, tree.model.nbody)}
             if hand.body not in bodies:
-                raise UnknownNameError(f"body in 'arms.{side}.hand' of {where}", hand.body,
+                raise UnknownNameError(f"body in 'arms.{side}.hand' of {source}", hand.body,
                                        bodies)
             declared.append(hand_below(tree, bodies[hand.body]))
     return declared or find_hands(tree)
 
 
 def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, str],
-               hands: list[FoundHand], description: RobotDescription, where: str
+               hands: list[FoundHand], description: RobotDescription, source: str
                ) -> dict[str, FoundArm]:
     if isinstance(description.arms, str):
         return {}
@@ -302,7 +302,7 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
                 if arm.mount is not None}
     arms: dict[str, FoundArm]
     if declared:
-        arms = {side: _declared_arm(model_file.spec, tree, side, arm, hands, where)
+        arms = {side: _declared_arm(model_file.spec, tree, side, arm, hands, source)
                 for side, arm in declared.items()}
     else:
         notes = model_file.inferred
@@ -314,9 +314,9 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
                 for side, arm in arms.items()))
     for named in description.by_arm:
         if named not in arms:
-            raise UnknownNameError(f"arm in 'arms' of {where}", named, arms)
+            raise UnknownNameError(f"arm in 'arms' of {source}", named, arms)
     if set(arms) == {'left'}:
-        raise ModelError(f"the only arm is called 'right', but 'arms' of {where} has 'left'")
+        raise ModelError(f"the only arm is called 'right', but 'arms' of {source} has 'left'")
     for side, arm in arms.items():
         if _hand_description(description.arm(side)) is None:
             arms[side] = FoundArm(arm.kind, arm.name, None, arm.why)
@@ -324,11 +324,11 @@ def _find_arms(model_file: ModelFile, tree: BodyTree, subsystems: Mapping[int, s
 
 
 def _declared_arm(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: ArmDescription,
-                  hands: list[FoundHand], where: str) -> FoundArm:
+                  hands: list[FoundHand], source: str) -> FoundArm:
     name = arm.mount.at if isinstance(arm.mount, FrameDescription) else arm.mount
     if name is None:
-        raise ModelError(f"'arms.{side}.mount' of {where} must say 'at' which body or site")
-    kind, element = find_place(spec, name, f"'arms.{side}.mount' of {where}")
+        raise ModelError(f"'arms.{side}.mount' of {source} must say 'at' which body or site")
+    kind, element = find_place(spec, name, f"'arms.{side}.mount' of {source}")
     body = element if kind == 'body' else element.parent
     below = tree.below(int(tree.model.body(body.name).id))
     hand = next((hand for hand in hands if hand.body in below), None)
@@ -336,13 +336,13 @@ def _declared_arm(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: ArmDescri
 
 
 def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
-             description: RobotDescription, where: str, notes: list[str]) -> str:
+             description: RobotDescription, source: str, notes: list[str]) -> str:
     """Return the end effector body of an arm; a site or an offset needs a new one."""
     declared = description.arm(side)
     mount = declared.mount if declared is not None else None
     if arm.hand is not None:
         return tree.name(arm.hand.body)
-    place = find_place(spec, arm.name, f"'arms.{side}.mount' of {where}")
+    place = find_place(spec, arm.name, f"'arms.{side}.mount' of {source}")
     if arm.kind == 'body' and not isinstance(mount, FrameDescription):
         return arm.name
     frame = mount if isinstance(mount, FrameDescription) else FrameDescription()
@@ -353,10 +353,10 @@ def _add_end(spec: mujoco.MjSpec, tree: BodyTree, side: str, arm: FoundArm,
 
 
 def _own_hand(spec: mujoco.MjSpec, shapes: _HandShapes, side: str, hand: FoundHand,
-              description: RobotDescription, where: str, start: dict[str, float]
+              description: RobotDescription, source: str, start: dict[str, float]
               ) -> BuiltInGripper:
     declared = _hand_description(description.arm(side)) or OwnHandDescription()
-    gripper = BuiltInGripper(side, declared, where, start)
+    gripper = BuiltInGripper(side, declared, source, start)
     gripper.add_to(spec, shapes.light, hand, shapes.key, shapes.tree)
     return gripper
 

@@ -85,7 +85,7 @@ def digest_of_meshes(spec: mujoco.MjSpec) -> bytes:
     digest = hashlib.blake2b()
     for mesh in spec.meshes:
         digest.update(repr((mesh.name, mesh.file, mesh.maxhullvert, *[
-            list(of) for of in (mesh.scale, mesh.refpos, mesh.refquat)])).encode())
+            list(numbers) for numbers in (mesh.scale, mesh.refpos, mesh.refquat)])).encode())
         if mesh.file in spec.assets:
             digest.update(spec.assets[mesh.file])
         elif os.path.isabs(mesh.file) and os.path.isfile(mesh.file):
@@ -270,10 +270,10 @@ class Fingers:
         trial = self._trial_model()
         ends = self._ends(trial, [int(self._model.actuator(name).id) for name in actuators])
         trial.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        found, changed = ({str(self._model.actuator(i).name): closing
-                           for i, closing in closings.items()}
-                          for closings in (ends, self._reopening(trial, ends)))
-        return found, changed
+        by_name, changed = ({str(self._model.actuator(i).name): closing
+                             for i, closing in closings.items()}
+                            for closings in (ends, self._reopening(trial, ends)))
+        return by_name, changed
 
     def _ends(self, trial: mujoco.MjModel, actuators: Sequence[int]) -> dict[int, Closing]:
         """

@@ -298,7 +298,8 @@ def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
     carriers = [_common_carrier(tree, group) for group in groups]
     shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
                         for body in [tree.common(carriers), *carriers])
-    if any(one != other and one in tree.path(other) for one in carriers for other in carriers):
+    if any(first != second and first in tree.path(second)
+           for first in carriers for second in carriers):
         return True  # What looks like a side is a letter of a finger's link.
     if min(lengths) - shared >= LEAST_OF_ARM:
         return False

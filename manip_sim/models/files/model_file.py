@@ -154,13 +154,13 @@ class ModelFile:
     mocap: MocapBodies | None = None
 
 
-def read_model(file: Path, description: Description, where: object,
+def read_model(file: Path, description: Description, source: object,
                keyframes: Sequence[str] = ('home',), servos: bool = True,
                files: Files | None = None, visual: bool = True) -> ModelFile:
     """
     Read a robot, hand or base, and exclude collisions of links that overlap at its start.
 
-    :param where: the file that the description was read from, for messages
+    :param source: the file that the description was read from, for messages
     :param keyframes: the first of these that exists is the start, else the only keyframe of the
         file, else what :func:`choose_pose` returns, unless the description names a keyframe
     :param servos: give joints position servos if the file has no actuators
@@ -207,8 +207,8 @@ def read_model(file: Path, description: Description, where: object,
         spec.delete(old)
     guesses = getattr(description, 'efforts', 'own') == 'guess'
     if guesses and model.nu:
-        raise ModelError(f"'efforts: guess' of {where} is for files without actuators; {file} has "
-                         f'{pluralize(model.nu, "actuator")}')
+        raise ModelError(f"'efforts: guess' of {source} is for files without actuators; "
+                         f'{file} has {pluralize(model.nu, "actuator")}')
     if servos and not model.nu and places:
         if guesses:
             notes += guess_efforts(spec, model)
@@ -228,7 +228,7 @@ def read_model(file: Path, description: Description, where: object,
         named = {key: {name: place for name, place in there.items() if name in places}
                  for key, there in named.items()}
     tree = BodyTree(model)
-    start = _start_pose(model, places, declared, where)
+    start = _start_pose(model, places, declared, source)
     notes += [*changes, *_exclude_overlaps(spec, model, start, file, urdf, files)]
     return ModelFile(file, spec, tree, start, notes, named, mocap)
 
@@ -385,7 +385,7 @@ def _declared_pose(model: mujoco.MjModel, qpos: FloatArray,
 
 
 def _start_pose(model: mujoco.MjModel, in_file: Mapping[str, float],
-                declared: Union[str, Mapping[str, float], None], where: object
+                declared: Union[str, Mapping[str, float], None], source: object
                 ) -> dict[str, float]:
     """
     Return the start positions of scalar joints, by name [rad or m].
@@ -399,11 +399,11 @@ def _start_pose(model: mujoco.MjModel, in_file: Mapping[str, float],
         return start
     for name, position in declared.items():
         if name not in start:
-            raise UnknownNameError(f"joint in 'start' of {where}", name, start)
+            raise UnknownNameError(f"joint in 'start' of {source}", name, start)
         joint = model.joint(name)
         low, high = joint.range
         if joint.limited[0] and not low <= position <= high:
-            raise ModelError(f"'start' of joint '{name}' in {where} must be within {low:g} to "
+            raise ModelError(f"'start' of joint '{name}' in {source} must be within {low:g} to "
                              f'{high:g}, got {position:g}')
         start[name] = float(position)
     return start
@@ -423,24 +423,24 @@ def _exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Mapping
     """
     pairs, notes = disabled_pairs(file, files or Files()) if urdf else (set(), [])
     excluded = 0
-    for one, other in sorted(pairs):
-        if spec.body(one) is not None and spec.body(other) is not None:
-            spec.add_exclude(bodyname1=one, bodyname2=other)
+    for first, second in sorted(pairs):
+        if spec.body(first) is not None and spec.body(second) is not None:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
             excluded += 1
     if excluded:
         notes.append(f'left out: collisions of {pluralize(excluded, "pair")} of links, '
                      'as its SRDF says')
-    for one, other in _overlapping(model, start, urdf):
-        if _key(one, other) in pairs or spec.body(one) is None or spec.body(other) is None:
+    for first, second in _overlapping(model, start, urdf):
+        if _key(first, second) in pairs or spec.body(first) is None or spec.body(second) is None:
             continue
-        pairs.add(_key(one, other))
-        spec.add_exclude(bodyname1=one, bodyname2=other)
-        notes.append(f"'{one}' and '{other}' overlap at the start, so they do not collide")
+        pairs.add(_key(first, second))
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+        notes.append(f"'{first}' and '{second}' overlap at the start, so they do not collide")
     return notes
 
 
-def _key(one: str, other: str) -> tuple[str, str]:
-    return (one, other) if one < other else (other, one)
+def _key(first: str, second: str) -> tuple[str, str]:
+    return (first, second) if first < second else (second, first)
 
 
 def _overlapping(model: mujoco.MjModel, start: Mapping[str, float], everywhere: bool

@@ -208,15 +208,15 @@ def read_description(file: Path, kind: type[DescriptionT], files: Files | None =
             files.read(file, 'YAML file'), str(file)))
     except ValidationError as error:
         # A union has errors of all its members; the best fitting one has the deepest.
-        deepest = max(error.errors(), key=lambda found: len(found['loc']))
+        deepest = max(error.errors(), key=lambda member: len(member['loc']))
         raise _explained(file, kind, deepest) from error
 
 
 def _explained(file: Path, kind: type[Strict], error: Any) -> ModelError:
     place = [str(part) for part in error['loc'] if not _is_of_union(part)]
     if error['type'] == 'extra_forbidden':
-        where = '.'.join(place[:-1])
-        return UnknownNameError(f'key of {file}{f", {where}" if where else ""}', place[-1],
+        parent = '.'.join(place[:-1])
+        return UnknownNameError(f'key of {file}{f", {parent}" if parent else ""}', place[-1],
                                 _keys_at(kind, place[:-1]))
     message = error['msg'].removeprefix('Value error, ')
     if error['type'] in ('model_type', 'dict_type'):
@@ -268,10 +268,10 @@ def find_model(path: Path, kind: type[DescriptionT], stem: str, files: Files | N
         if files is None and is_of_others(str(path)):
             path = find_source(str(path), f'{stem}s') or path
         file, arguments = split_arguments(str(path))
-        model, description, where = _find(Path(file).expanduser(), kind, stem, files)
+        model, description, source = _find(Path(file).expanduser(), kind, stem, files)
         if arguments:
             description.xacro_args = {**description.xacro_args, **arguments}
-        return model, description, where
+        return model, description, source
     except (OSError, RuntimeError) as error:
         raise ModelError(f'cannot read {one_line(str(path), 200)}: '
                          f'{getattr(error, "strerror", None) or error}') from error

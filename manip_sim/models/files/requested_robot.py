@@ -38,32 +38,32 @@ MAX_DOF = 100
 MAX_CPU_S = 10
 
 
-def load_requested(given: Path | InMemoryFile, files: Files, idn: int | str = 0) -> FileRobot:
+def load_requested(request: Path | InMemoryFile, files: Files, idn: int | str = 0) -> FileRobot:
     """
     Load a robot from a file that a request names, or from its text.
 
     Everything is as in ``load_robot``, but grippers and bases that its description names are of
     the catalogue, meshes are not converted, and xacro is not expanded.
 
-    :param given: what :func:`find_model` takes, or a URDF or MJCF text
+    :param request: what :func:`find_model` takes, or a URDF or MJCF text
     :raises ModelError: on one line, if a file must not be or cannot be read, or it takes too long,
         is too large or is not a robot
     :raises UnknownNameError: if the description has a key or name that is not known
     """
-    if isinstance(given, InMemoryFile):
-        kept = CachedFiles(given)
-        file, description, where = given.file, RobotDescription(), str(given.file)
+    if isinstance(request, InMemoryFile):
+        kept = CachedFiles(request)
+        file, description, source = request.file, RobotDescription(), str(request.file)
     else:
         kept = CachedFiles(files)
-        file, description, where = find_model(given, RobotDescription, 'robot', kept)
-    _check_names(description, where)
+        file, description, source = find_model(request, RobotDescription, 'robot', kept)
+    _check_names(description, source)
     with _of_strangers(file):
         if is_urdf(file, kept):
             hold_urdf(file, description.xacro_values, kept)
             disabled_pairs(file, kept)
         else:
             load_self_contained(file, kept, as_robot=True)
-    held = file, description, where, copy.copy(kept), idn
+    held = file, description, source, copy.copy(kept), idn
     run_limited(one_line(str(file), 200), _try, *held, max_cpu_s=MAX_CPU_S)
     return load_held(*held)
 
@@ -73,11 +73,11 @@ def _try(*held: Any) -> None:
     load_held(*held)
 
 
-def load_held(file: Path, description: RobotDescription, where: str, files: CachedFiles,
+def load_held(file: Path, description: RobotDescription, source: str, files: CachedFiles,
               idn: int | str) -> FileRobot:
     """Load a robot from contents that were read before."""
     with _of_strangers(file):
-        plan = plan_robot(file, description, where, files)
+        plan = plan_robot(file, description, source, files)
         robot = (FileManipulator if plan.ends else FileRobot)(plan, idn)
         robot.held_files = files.named(held_name)
         model = robot.compile()
@@ -102,12 +102,12 @@ def _of_strangers(file: Path) -> Iterator[None]:
                          f'or its bodies nested too deeply: {one_line(str(error))}') from error
 
 
-def _check_names(description: RobotDescription, where: str) -> None:
+def _check_names(description: RobotDescription, source: str) -> None:
     """Reject grippers and bases that are not of the catalogue: each would be a file to read."""
     grippers = [(f'arms.{side}.gripper', arm.gripper) for side, arm in description.by_arm.items()]
     for key, named, known in ((*entry, names) for entries, names in (
             (grippers, gripper_names), ([('base', description.base)], base_names))
             for entry in entries):
         if named is not None and named not in (names := [DEFAULT, NONE, *known()]):
-            raise ModelError(f'{where}: {UnknownNameError(key, named, names)}; by request it is '
+            raise ModelError(f'{source}: {UnknownNameError(key, named, names)}; by request it is '
                              'one of the catalogue, with the folders of model_path')

@@ -104,19 +104,19 @@ class _Lacking:
                 + self._among(sensor.reftype, sensor.refname))
 
 
-def _left_out(spec: mujoco.MjSpec, what: str, elements: list[Any],
+def _left_out(spec: mujoco.MjSpec, kind: str, elements: list[Any],
               missing: Callable[[Any], list[str]]) -> Iterator[str]:
     """Leave out what refers to missing elements, and yield a sentence if there is any."""
     dangling = [(element, names) for element in elements if (names := missing(element))]
     if not dangling:
         return
     named = {name for _, of_element in dangling for name in of_element}
-    yield (f'left out: {pluralize(len(dangling), what)} with a reference to what is not in the '
+    yield (f'left out: {pluralize(len(dangling), kind)} with a reference to what is not in the '
            f'file: {quoted_names(sorted(named))}; {_INCLUDED}, else correct the name')
     for element, _ in dangling:
-        if what == 'material':
+        if kind == 'material':
             element.material = ''
-        elif what == 'camera target':
+        elif kind == 'camera target':
             element.targetbody, element.mode = '', mujoco.mjtCamLight.mjCAMLIGHT_FIXED
         else:
             spec.delete(element)

@@ -165,8 +165,8 @@ def stem_of(file: Path) -> str:
 class _Arguments(dict[str, str]):
     """Arguments that remember which names xacro asked for."""
 
-    def __init__(self, given: Mapping[str, str]) -> None:
-        super().__init__(given)
+    def __init__(self, values: Mapping[str, str]) -> None:
+        super().__init__(values)
         self.known: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
@@ -265,12 +265,12 @@ class _Finder:
         return path
 
 
-def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder) -> str:
+def _explained(file: Path, error: Exception, arguments: _Arguments, finder: _Finder) -> str:
     """Return the message of an error, without repetitions, and a remedy."""
     causes = list(_causes(error))
     inside = finder.current_file()
-    where = '' if inside == str(file) or not inside else f'{one_line(inside, 200)}: '
-    begin = f'{file} cannot be expanded by xacro: {where}'
+    included = '' if inside == str(file) or not inside else f'{one_line(inside, 200)}: '
+    begin = f'{file} cannot be expanded by xacro: {included}'
     for cause in causes:
         if isinstance(cause, ModelError):
             return f'{begin}{cause}'
@@ -284,7 +284,7 @@ def _explained(file: Path, error: Exception, given: _Arguments, finder: _Finder)
                 'and source the package' if package else 'put it there, or correct the name'))
     missing = next((str(cause) for cause in causes if type(cause).__name__ == 'ArgException'), '')
     if missing:
-        values = ' '.join(f'{name}:=VALUE' for name in _required(file, missing, given))
+        values = ' '.join(f'{name}:=VALUE' for name in _required(file, missing, arguments))
         return (f'{begin}Undefined substitution argument {one_line(missing, 60)}: give it, as in '
                 f'{quoted(f"{file.name} {values}", 300)}, or by xacro_args in the YAML file')
     message = one_line(_message(causes), 300)
@@ -312,9 +312,9 @@ def _message(causes: list[BaseException]) -> str:
     return ' '.join(said) or type(causes[-1]).__name__
 
 
-def _required(file: Path, missing: str, given: Mapping[str, str]) -> list[str]:
+def _required(file: Path, missing: str, arguments: Mapping[str, str]) -> list[str]:
     """Return the arguments that a file uses and has no value for, with one that is missing."""
     text = file.read_text(encoding='utf-8', errors='replace')
-    known = {*given, *_WITH_DEFAULT.findall(text)}
+    known = {*arguments, *_WITH_DEFAULT.findall(text)}
     return list(dict.fromkeys([missing, *(
         name for name in _USED.findall(text) if name not in known)]))

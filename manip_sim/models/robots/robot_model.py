@@ -387,23 +387,23 @@ class RobotModel(MujocoXMLModel, ABC):
         base._attach_copy(spec, frame, base_spec)
 
     def _attach_on_mobile_base(self, spec: mujoco.MjSpec, frame: mujoco.MjsFrame,
-                               base: MobileBaseModel, own: mujoco.MjSpec) -> None:
-        TakenNames(spec).add(own, self.naming_prefix, self.name)
-        mount = own.body(self._root().name)
-        if own.body(_MANIPULATOR_MOUNT) is not None:
+                               base: MobileBaseModel, part_spec: mujoco.MjSpec) -> None:
+        TakenNames(spec).add(part_spec, self.naming_prefix, self.name)
+        mount = part_spec.body(self._root().name)
+        if part_spec.body(_MANIPULATOR_MOUNT) is not None:
             raise ModelError(f"{self.name} cannot stand on a mobile base: it has a body "
                              f"'{_MANIPULATOR_MOUNT}' of its own")
         root = frame.parent.add_body(name=self.root_body, pos=mount.pos, quat=mount.quat)
         root.set_frame(frame)
-        rename_body(own, mount, _MANIPULATOR_MOUNT)
+        rename_body(part_spec, mount, _MANIPULATOR_MOUNT)
         mount.pos, mount.quat = -self.foot_offset, [1.0, 0.0, 0.0, 0.0]
         for joint in mount.joints:
             if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE):  # The base moves the robot.
-                own.delete(joint)
+                part_spec.delete(joint)
         present = len(spec.actuators)
         self._attach_base(spec, root, base)
         support = spec.body(base.correct_naming(base.support_body))
-        self._attach_copy(spec, support.add_frame(), own)
+        self._attach_copy(spec, support.add_frame(), part_spec)
         rotate_actuators(spec.actuators[present:], len(base.actuators))
 
     def _placed_copy(self, floor_xpos: ArrayLike | None) -> mujoco.MjSpec:
@@ -506,11 +506,11 @@ class RobotModel(MujocoXMLModel, ABC):
         """
         from manip_sim.models.friction_and_armature import JointActuation, read_catalogue, single
         joints = self._scalar_joints(subsystem)
-        where = f'{subsystem} of {self.name}'
+        owner = f'{subsystem} of {self.name}'
         if not joints:
-            raise ModelError(f'{where}: it has no such joints')
+            raise ModelError(f'{owner}: it has no such joints')
         specs = [part._spec.joint(raw) for part, raw in joints]
-        actuation = JointActuation([part.correct_naming(raw) for part, raw in joints], where,
+        actuation = JointActuation([part.correct_naming(raw) for part, raw in joints], owner,
                                    read_catalogue(self.file.parent, subsystem))
         if friction is not None:
             actuation.set_friction(friction)
@@ -518,7 +518,7 @@ class RobotModel(MujocoXMLModel, ABC):
             actuation.set_torque_speed(torque_speed)
         for attrib, values in (*actuation.attributes(), *(
                 () if armature is None else
-                [('armature', actuation.of_each(single(armature, where), 'armature'))])):
+                [('armature', actuation.of_each(single(armature, owner), 'armature'))])):
             for joint, value in zip(specs, values):
                 _set(joint, attrib, value)
         self._laws.update(zip(joints, actuation.laws()))
