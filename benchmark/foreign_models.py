@@ -63,8 +63,7 @@ import yaml
 
 from manip_sim.errors import DivergenceError, ManipSimError
 from manip_sim.models import compose, load_gripper, load_robot
-from manip_sim.models.actuators import effort_range
-from manip_sim.models.couplings import declared_velocity
+from manip_sim.models.actuators import declared_velocity, effort_range
 from manip_sim.models.robots import ManipulatorModel
 from manip_sim.simulation.simulation import Simulation
 

@@ -16,9 +16,9 @@ import numpy as np
 from manip_sim.cli.composing_options import compose_from
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.models import World
+from manip_sim.models.actuators import SCALAR
 from manip_sim.models.files.urdf import is_urdf
 from manip_sim.models.loading import compile_spec, load_spec
-from manip_sim.models.robots.robot_model import SCALAR
 from manip_sim.models.world import skipped_geoms
 from manip_sim.quoting import pluralize, quoted, quoted_names
 from manip_sim.simulation import Simulation

@@ -29,9 +29,9 @@ from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
 from manip_sim.models import arena_names, create_arena, World
-from manip_sim.models.actuators import effort_range, position_servos
+from manip_sim.models.actuators import (
+    actuated_joints, declared_velocity, effort_range, moved_joints, position_servos)
 from manip_sim.models.bases import base_names, create_base, MobileBaseModel, RobotBaseModel
-from manip_sim.models.couplings import actuated_joints, declared_velocity, moved_joints
 from manip_sim.models.grippers import create_gripper, gripper_names
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_model import SIZES

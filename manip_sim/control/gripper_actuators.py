@@ -21,8 +21,7 @@ from manip_sim.control.law.finger_records import FINGER
 from manip_sim.control.law.joint_records import readable
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, ModelError
-from manip_sim.models.actuators import position_servos
-from manip_sim.models.couplings import declared_velocity, JointCouplings
+from manip_sim.models.actuators import declared_velocity, JointCouplings, position_servos
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 

@@ -34,8 +34,8 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 
-def _load(loader: str, *arguments: Any) -> Any:
-    return __getattr__(loader)(*arguments)
+def _load(loader: str, *arguments: Any, **keywords: Any) -> Any:
+    return __getattr__(loader)(*arguments, **keywords)
 
 
 for _loader, _registry in _LOADERS.items():

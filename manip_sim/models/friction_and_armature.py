@@ -19,7 +19,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.couplings import FrictionLaw
+from manip_sim.models.actuators import FrictionLaw
 from manip_sim.models.descriptions import BeforeValidator, checked, model_validator, Strict
 from manip_sim.models.user_files import read_yaml
 from manip_sim.quoting import format_value

@@ -24,7 +24,8 @@ from manip_sim.models.mjcf_versions import Document
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
 from manip_sim.models.registry import find_source, is_of_others
 from manip_sim.models.untrusted_models import load_self_contained, SelfContainedModel
-from manip_sim.models.user_files import check_file, Files, InMemoryFile, parse_requested, read_yaml
+from manip_sim.models.user_files import (
+    check_file, Files, InMemoryFile, parse_requested, read_yaml, YAML_SUFFIXES)
 from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.resources import cache_folder, keep_in_cache
 
@@ -35,7 +36,6 @@ __all__ = ['check_object_names', 'create_described', 'create_object', 'create_ob
            'FixtureModel', 'load_objects', 'object_from_model', 'ObjectModel']
 
 
-_YAML = ('.yaml', '.yml')
 #: Greatest number of degrees of freedom of an object that is spawned.
 _MAX_DOF = 100
 P = TypeVar('P', ObjectModel, FixtureModel)
@@ -61,7 +61,7 @@ def create_object(description: Description, files: Files | None = None) -> Objec
     if isinstance(description, Mapping):
         return _from_values(description, '', Path(), files=files)
     path = Path(description)
-    if path.suffix not in _YAML:
+    if path.suffix not in YAML_SUFFIXES:
         return _read(path, files=files)
     objects = load_objects(path, files)
     if len(objects) != 1:
@@ -98,7 +98,7 @@ def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
     """
     objects: list[ObjectModel] = []
     for description in descriptions:
-        if isinstance(description, (str, PathLike)) and Path(description).suffix in _YAML:
+        if isinstance(description, (str, PathLike)) and Path(description).suffix in YAML_SUFFIXES:
             objects += load_objects(description)
         else:
             objects.append(create_object(description))

@@ -24,6 +24,7 @@ from typing import Any, Generic, TypeVar
 
 from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.user_files import YAML_SUFFIXES
 from manip_sim.quoting import one_line, quoted
 
 T = TypeVar('T')
@@ -126,6 +127,12 @@ class Registry(Generic[T]):
         create: Callable[..., T] = self.get(name)
         return create(**arguments)
 
+    def create_or_load(self, name: str | PathLike[str], **arguments: Any) -> T:
+        """Create a model by its name, as :meth:`create` does, or from the file it stands for."""
+        file = self.find_file(name)
+        return (self.create(str(name), **arguments) if file is None
+                else self.load_file(file, **arguments))
+
     def attribute(self, module: str, name: str) -> type[T]:
         """Return the class of a name as an attribute of a module, for its ``__getattr__``."""
         try:
@@ -218,8 +225,7 @@ _OFFLINE = ('without internet, bring a clone of '
             "https://github.com/google-deepmind/mujoco_menagerie and type 'export "
             "MENAGERIE_ROOT=FOLDER', or name its folder in model_path")
 KINDS = ('robots', 'grippers', 'bases', 'arenas')
-_YAML = ('.yaml', '.yml')
-_SUFFIXES = (*_YAML, '.xml', '.mjcf', '.urdf')
+_SUFFIXES = (*YAML_SUFFIXES, '.xml', '.mjcf', '.urdf')
 #: A xacro file, which arguments may follow.
 _XACRO = re.compile(r'\.xacro(\s|$)', re.IGNORECASE)
 _SCHEMES = ('menagerie:', 'robosuite:')
@@ -285,7 +291,7 @@ def _rank(entry: Path) -> tuple[int, str]:
 
 
 def _of_folder(folder: Path, kind: str) -> Path | None:
-    names = [f'{kind[:-1]}{suffix}' for suffix in _YAML]
+    names = [f'{kind[:-1]}{suffix}' for suffix in YAML_SUFFIXES]
     names += [f'{folder.name}{suffix}' for suffix in _SUFFIXES]
     return next((folder / name for name in names if (folder / name).is_file()), None)
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import length, quat_wxyz_from_rpy
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.actuators import JOINT_TRANSMISSIONS
 
 #: Begin of names of joints, frames and of topics named after cameras and objects.
 _PREFIX = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
@@ -113,7 +114,6 @@ _SHORT_S, _CONTACT_STEPS = 0.002, 4.0
 _COUPLING_DAMPING = 1.5
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _EQ, _TRN = mujoco.mjtEq, mujoco.mjtTrn
-_OF_JOINTS = (int(_TRN.mjTRN_JOINT), int(_TRN.mjTRN_JOINTINPARENT))
 _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _OF_THE_ELEMENT = frozenset(('classname', 'compiler', 'id', 'info', 'plugin', 'signature'))
 
@@ -134,7 +134,7 @@ def weld_joints(spec: mujoco.MjSpec, kept: Collection[str]) -> None:
     tied = {int(_EQ.mjEQ_JOINT): welded, int(_EQ.mjEQ_TENDON): loose}
     delete_elements(spec, [equality for equality in spec.equalities if tied.get(
         int(equality.type), set()) & {equality.name1, equality.name2}])
-    driven = {**dict.fromkeys(_OF_JOINTS, welded), int(_TRN.mjTRN_TENDON): loose}
+    driven = {**dict.fromkeys(JOINT_TRANSMISSIONS, welded), int(_TRN.mjTRN_TENDON): loose}
     actuators = [actuator for actuator in spec.actuators
                  if actuator.target in driven.get(int(actuator.trntype), ())]
     delete_elements(spec, [*actuators, *tendons, *joints])

@@ -322,6 +322,7 @@ class InMemoryFile(Files):
         return []
 
 
+YAML_SUFFIXES = ('.yaml', '.yml')
 _MAX_BYTES = 1_000_000
 #: Longest YAML of a request, which is slow to read.
 _MAX_REQUESTED = 50_000

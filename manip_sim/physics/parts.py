@@ -12,10 +12,11 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import IntArray
+from manip_sim.models.actuators import SCALAR
 from manip_sim.models.bases import MobileBaseModel
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.robots import ManipulatorModel, RobotModel
-from manip_sim.models.robots.robot_model import driven_joint, SCALAR, SUBSYSTEMS
+from manip_sim.models.robots.robot_model import driven_joint, SUBSYSTEMS
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.frame_names import FrameNames, ROOT
+from manip_sim.models.actuators import SCALAR
 from manip_sim.models.urdf_writer.links import build_tree, Joint, joints_of_body, KinematicTree
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
@@ -208,7 +209,6 @@ class OdometryReader:
 #: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
 #: along z with y down: half a turn about x, as w, x, y, z.
 _TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 @dataclass(frozen=True)
@@ -329,7 +329,7 @@ def _frames_of(model: mujoco.MjModel, tree: KinematicTree
 
 def _has_scalar_joints(model: mujoco.MjModel, body: int) -> bool:
     """Return whether all joints of a body, if it has any, are hinges or slides."""
-    return all(int(model.jnt_type[joint]) in _SCALAR for joint in joints_of_body(model, body))
+    return all(int(model.jnt_type[joint]) in SCALAR for joint in joints_of_body(model, body))
 
 
 def _row(position: Any, quat_wxyz: Any) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import ModelError
-from manip_sim.models.couplings import FrictionLaw
+from manip_sim.models.actuators import FrictionLaw
 from manip_sim.physics.physics import Physics
 
 

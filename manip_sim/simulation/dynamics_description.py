@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.models.couplings import declared_velocity, FrictionLaw
+from manip_sim.models.actuators import declared_velocity, FrictionLaw
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray
-from manip_sim.models.actuators import effort_range, position_servos
-from manip_sim.models.couplings import (
-    actuated_joints, JointCouplings, joints_between, moved_joints)
+from manip_sim.models.actuators import (
+    actuated_joints, effort_range, JointCouplings, joints_between, moved_joints, position_servos)
 from manip_sim.models.robots.robot_model import driven_joint
 from manip_sim.quoting import quoted_names
 from manip_sim.simulation.start_defect import StartDefect

@@ -69,10 +69,7 @@ def create_base(name: str | PathLike[str], idn: int | str = 0) -> RobotBaseModel
     :raises UnknownNameError: if the base is unknown, naming the nearest ones
     :raises ModelError: if a file cannot be used, or the base of another package cannot be imported
     """
-    file = BASES.find_file(name)
-    if file is None:
-        return BASES.create(str(name), idn=idn)
-    return BASES.load_file(file, idn)
+    return BASES.create_or_load(name, idn=idn)
 
 
 if not TYPE_CHECKING:

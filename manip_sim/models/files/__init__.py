@@ -30,6 +30,7 @@ from manip_sim.models.object_creation import (
     check_object_names, create_described, FixtureModel, load_objects, ObjectModel)
 from manip_sim.models.placements import check_placed, read_placements
 from manip_sim.models.robots.robot_model import RobotModel
+from manip_sim.models.user_files import YAML_SUFFIXES
 from manip_sim.quoting import pluralize, quoted
 
 #: A base whose lowest point is at most so far from z = 0 stands on the floor [m].
@@ -139,9 +140,6 @@ def _extent(model: mujoco.MjModel) -> tuple[float, float]:
     return (float(heights[:, 0].min()), float(heights[:, 1].max())) if len(heights) else (0., 0.)
 
 
-_YAML = ('.yaml', '.yml')
-
-
 class FileArena(Arena, registered=False):
     """
     The environment of the robots.
@@ -161,7 +159,7 @@ class FileArena(Arena, registered=False):
             if getattr(description, key):
                 raise ModelError(f"{source}: '{key}' is for robots, grippers and bases in {kind}; "
                                  'an arena is MJCF')
-        if file.suffix.lower() in _YAML:
+        if file.suffix.lower() in YAML_SUFFIXES:
             self._other = (EmptyArena() if description.arena is None else
                            create_arena(description.arena, **description.parameters))
             self.inferred += getattr(self._other, 'inferred', [])

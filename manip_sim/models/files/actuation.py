@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.models.actuators import position_servos
+from manip_sim.models.actuators import JOINT_TRANSMISSIONS, position_servos
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.urdf import greatest_weight
 from manip_sim.quoting import pluralize, quoted_names
@@ -161,8 +161,7 @@ def _is_usable(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def _driven_joint(tree: BodyTree, actuator: int) -> int | None:
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    if int(tree.model.actuator_trntype[actuator]) not in kinds:
+    if int(tree.model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS:
         return None
     (joint,) = tree.driven(actuator)
     return joint if tree.is_scalar(joint) else None

@@ -18,15 +18,14 @@ import numpy as np
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
+from manip_sim.models.actuators import JOINT_TRANSMISSIONS, SCALAR
 
-_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _WORD, _LETTERS = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])'), re.compile(r'[A-Za-z]+')
 _SIDES = {'left': 'left', 'l': 'left', 'lh': 'left', 'right': 'right', 'r': 'right', 'rh': 'right'}
 #: Parts of bodies that are written in one word with a side before or an axis behind them.
 _JOINED = re.compile(
     r'(left|right|upper|lower|[lrfbu])?(thigh|shin|shank|calf|foot|toe|ankle|knee|femur|tibia|hip|'
     r'leg|finger|thumb|hand|wrist|elbow|shoulder|head|neck|wheel)s?(r?[xyz]|[pr]|joint|link)?')
-SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 @lru_cache(maxsize=4096)
@@ -138,7 +137,7 @@ class BodyTree:
         """Return the joints that an actuator acts on, directly, by a tendon or at a site."""
         kind = int(self.model.actuator_trntype[actuator])
         target = int(self.model.actuator_trnid[actuator, 0])
-        if kind in _JOINT:
+        if kind in JOINT_TRANSMISSIONS:
             return {target}
         if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
             return self._joints_of_tendon(target)

@@ -16,10 +16,10 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.actuators import JointCouplings, SCALAR
 from manip_sim.models.asset_files import infer_inertias_once
-from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.files.actuation import add_servos, guess_efforts, report_efforts
-from manip_sim.models.files.body_tree import BodyTree, SCALAR
+from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import (
     find_mocap_bodies, leave_out_dangling, MocapBodies, single_tree, touch_other_files)

@@ -15,7 +15,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.descriptions import AfterValidator, Field, Strict, ValidationError
 from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
 from manip_sim.models.registry import find_source, is_of_others, is_path
-from manip_sim.models.user_files import Files, parse_requested, read_yaml
+from manip_sim.models.user_files import Files, parse_requested, read_yaml, YAML_SUFFIXES
 from manip_sim.quoting import one_line, quoted
 
 #: A key of the outermost mapping of a YAML file, and how similar a misspelled one is at least.
@@ -247,7 +247,6 @@ def _keys_at(kind: type[Strict], place: list[str]) -> list[str]:
     return list(kind.model_fields)
 
 
-YAML = ('.yaml', '.yml')
 MODELS = ('.xml', '.mjcf', '.urdf', SUFFIX)
 
 
@@ -284,14 +283,14 @@ def _find(path: Path, kind: type[DescriptionT], stem: str, files: Files | None
         path = _in_folder(path, stem, at)
     if not at.is_file(path):
         raise ModelError(f'no such file: {one_line(str(path), 200)}')
-    if path.suffix.lower() in YAML:
+    if path.suffix.lower() in YAML_SUFFIXES:
         description = _described(path, kind, files)
         return _model_of(path, description, stem, at), description, str(path)
     if path.suffix.lower() not in MODELS:
         raise ModelError(f'{path} is neither a model ({", ".join(MODELS)}) nor a description '
-                         f'({", ".join(YAML)})')
+                         f'({", ".join(YAML_SUFFIXES)})')
     for name in (stem_of(path), stem):
-        for suffix in YAML:
+        for suffix in YAML_SUFFIXES:
             beside = path.with_name(name + suffix)
             if not at.is_file(beside):
                 continue
@@ -319,8 +318,9 @@ def _described(file: Path, kind: type[DescriptionT], files: Files | None) -> Des
 
 
 def _in_folder(folder: Path, stem: str, files: Files) -> Path:
-    names = [*(stem + suffix for suffix in YAML),
-             *(name + suffix for name in (folder.name, stem) for suffix in (*YAML, *MODELS))]
+    names = [*(stem + suffix for suffix in YAML_SUFFIXES),
+             *(name + suffix for name in (folder.name, stem)
+               for suffix in (*YAML_SUFFIXES, *MODELS))]
     for name in names:
         if files.is_file(folder / name):
             return folder / name

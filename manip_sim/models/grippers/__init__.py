@@ -34,10 +34,7 @@ def create_gripper(name: str | PathLike[str], idn: int | str = 0) -> GripperMode
     :raises ModelError: if a file cannot be used, or the gripper of another package cannot be
         imported
     """
-    file = GRIPPERS.find_file(name)
-    if file is None:
-        return GRIPPERS.create(str(name), idn=idn)
-    return GRIPPERS.load_file(file, idn)
+    return GRIPPERS.create_or_load(name, idn=idn)
 
 
 if not TYPE_CHECKING:

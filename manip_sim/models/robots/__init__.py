@@ -161,8 +161,7 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
     :raises ModelError: if names cannot begin with the prefix, a file cannot be used, or the robot
         of another package cannot be imported
     """
-    file = ROBOTS.find_file(name)
-    robot = ROBOTS.create(str(name), idn=idn) if file is None else ROBOTS.load_file(file, idn)
+    robot = ROBOTS.create_or_load(name, idn=idn)
     if prefix:
         robot.set_naming_prefix(prefix)
     return robot

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.models.actuators import FrictionLaw, JOINT_TRANSMISSIONS, SCALAR
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
-from manip_sim.models.couplings import FrictionLaw
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.registry import Registry
 from manip_sim.models.spec_edits import rename_body, rotate_actuators, TakenNames
@@ -37,7 +37,6 @@ SUBSYSTEMS = ('arm', 'base', 'torso', 'head', 'legs', 'other')
 #: In the order in which they are tried; a name without any of them is arm.
 KEYWORDS = {'torso': 'torso', 'mobile': 'base', 'head': 'head', 'leg': 'legs'}
 #: Types of the joints that actuators of parts drive.
-SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _WORD = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])')
 
 
@@ -562,7 +561,7 @@ def classify(name: str) -> str:
 def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     """Return the name of the hinge or slide that an actuator drives, or None."""
     kind = int(model.actuator_trntype[actuator])
-    if kind not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
+    if kind not in JOINT_TRANSMISSIONS:
         return None
     joint = int(model.actuator_trnid[actuator, 0])
     if int(model.jnt_type[joint]) not in SCALAR:

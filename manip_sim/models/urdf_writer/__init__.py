@@ -15,7 +15,8 @@ import numpy as np
 from manip_sim.algebra import matrix_of, rpy_of
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.couplings import declared_velocity, velocity_of_servos
+from manip_sim.models.actuators import (
+    declared_velocity, JOINT_TRANSMISSIONS, velocity_of_servos)
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.urdf_writer.links import (
@@ -339,7 +340,6 @@ _FAR_M = 1000.0
 DEFAULT_VELOCITY = float(np.pi)
 #: Of a joint whose actuators have no limit [N m or N].
 DEFAULT_EFFORT = 1000.0
-_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
@@ -444,7 +444,7 @@ def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]
     for actuator in range(model.nu):
         gear = float(model.actuator_gear[actuator, 0])
         kind, target = int(model.actuator_trntype[actuator]), model.actuator_trnid[actuator, 0]
-        if kind in _JOINT:
+        if kind in JOINT_TRANSMISSIONS:
             terms = [(int(target), 1.0)]
         elif kind == _TENDON:
             first = int(model.tendon_adr[target])
