@@ -214,7 +214,8 @@ def urdf_of(world: World, robot: str | None = None, hardware: Hardware | None = 
     Return the URDF of one robot.
 
     :param world: with the robot
-    :param robot: its name, as for :func:`urdfs_of`; None for the only one
+    :param robot: what its names begin with, without the underscore that follows, such as
+        ``robot0``; None for the only one
     :param hardware: of the ``<ros2_control>`` tag; None for none
     :raises ModelError: if there are several robots and none is named, or the world does not
         compile
