@@ -9,8 +9,7 @@ The modules of tasks are imported, which registers them.
 
 from __future__ import annotations
 
-from manip_sim.tasks import (  # noqa: F401
-    belt_picking, cubes, drawer_opening, handing_over, peg_insertion, reaching, wiping)
+from manip_sim.tasks import cubes, fixtures, handling  # noqa: F401
 from manip_sim.tasks.episode import Episode, start
 from manip_sim.tasks.episode_actions import ACTIONS, PoseActions
 from manip_sim.tasks.expert import Expert

@@ -22,7 +22,7 @@ from manip_sim.experiments.comparison import (  # noqa: E402
     compare, difference_interval, first_difference, mcnemar_p, Pairs, seeds_to_add)
 from manip_sim.experiments.run_folder import read_rows, read_run, spans  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
-from manip_sim.tasks.reaching import Reach  # noqa: E402
+from manip_sim.tasks.fixtures import Reach  # noqa: E402
 
 POLICIES = Path(__file__).with_name('policies_under_test.py')
 #: One of the description of a run of reach.
