@@ -23,8 +23,7 @@ from manip_sim.models.world import skipped_geoms
 from manip_sim.quoting import pluralize, quoted, quoted_names
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.episode_start import start_without_control
-from manip_sim.simulation.start_check import find_start_defects
-from manip_sim.simulation.start_defect import StartDefect
+from manip_sim.simulation.start_defect import find_start_defects, StartDefect
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 

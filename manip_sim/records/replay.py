@@ -26,9 +26,8 @@ from manip_sim.records.recorder import physics_state
 from manip_sim.records.untrusted_records import files_of, parse_json
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import (
-    check_sum, decoded_commands, NumberedHandles, restore_plain)
-from manip_sim.simulation.operations import Operations
+from manip_sim.simulation.journal_entries import (
+    check_sum, decoded_commands, NumberedHandles, Operations, restore_plain)
 from manip_sim.tasks import create_task, Episode, start
 
 

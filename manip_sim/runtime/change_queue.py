@@ -21,9 +21,8 @@ from manip_sim.control.commands import (
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import (
-    check_sum, NumberedHandles, plain_commands, plain_state)
-from manip_sim.simulation.operations import Operations
+from manip_sim.simulation.journal_entries import (
+    check_sum, NumberedHandles, Operations, plain_commands, plain_state)
 
 #: Returns which atomic parts of a robot, given by its name, need no command.
 BusyParts = Callable[[str], frozenset[str]]

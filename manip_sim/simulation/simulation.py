@@ -34,7 +34,7 @@ from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.robot_spawning import (
     actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotSet, RobotsPlan)
 from manip_sim.simulation.saved_state import SavedStates, SimulationState
-from manip_sim.simulation.start_check import check_start
+from manip_sim.simulation.start_defect import check_start
 from manip_sim.validation import whole_number
 
 

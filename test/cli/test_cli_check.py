@@ -18,7 +18,7 @@ SERVO = '<actuator><position name="s" joint="a" kp="900" kv="20" forcerange="-50
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(('robot', 'arena'), [  # All pairs are checked in test_start_check.py.
+@pytest.mark.parametrize(('robot', 'arena'), [  # All pairs are checked in test_start_defects.py.
     *((robot, 'table') for robot in NAMES['robots']()),
     *(('Panda', arena) for arena in NAMES['arenas']() if arena != 'table')])
 def test_nothing_is_wrong_with_a_robot_of_the_catalogue(robot, arena, here):

@@ -13,7 +13,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose
 from manip_sim.models.faults import fault_from_text, FaultPlan
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import plain_state, restore_plain
+from manip_sim.simulation.journal_entries import plain_state, restore_plain
 from manip_sim.tasks import create_task
 from manip_sim.worlds import Worlds
 

@@ -16,7 +16,7 @@ from manip_sim.models import compose, compose_robot, create_arena, World
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import robot_spawning, Simulation
-from manip_sim.simulation.json_state import plain_state, restore_plain
+from manip_sim.simulation.journal_entries import plain_state, restore_plain
 from manip_sim.simulation.robot_spawning import plan_with_robot
 
 BOX = {'shape': 'box', 'size': [0.04] * 3, 'mass': 0.1}

@@ -28,8 +28,7 @@ from manip_sim.models import compose, create_object
 from manip_sim.models.robots import ROBOTS
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.json_state import plain_state, restore_plain
-from manip_sim.simulation.operations import Operations
+from manip_sim.simulation.journal_entries import Operations, plain_state, restore_plain
 from manip_sim.worlds.worlds import owner_of, SimulationPrototype
 
 NOISE = {'type': 'uniform', 'magnitude': 0.1}

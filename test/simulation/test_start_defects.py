@@ -15,7 +15,7 @@ from manip_sim.models.grippers import create_gripper
 from manip_sim.models.robots import create_robot, robot_names
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.start_check import _full_force, check_start, find_start_defects
+from manip_sim.simulation.start_defect import _full_force, check_start, find_start_defects
 
 BALL = '<geom name="{}" size="0.05" pos="{} 0 0"/>'
 
