@@ -1,76 +1,24 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Start rclpy, check overrides of parameters, and say what to write in place of rejected ones."""
+"""Start rclpy, and name the mistakes in the ROS arguments of a command line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-import difflib
 import itertools
 from pathlib import Path
 import re
 import sys
-from typing import Any
 
 from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 import yaml
 
-from manip_sim.errors import describe_choices, ManipSimError, ParameterError
+from manip_sim.errors import ManipSimError
 from manip_sim.interface.parameter_spec import matches, sections_of
 from manip_sim.quoting import one_line, quoted, quoted_names
-from manip_sim.rclpy_internals import (
-    parameter_overrides, RCLError, start_rclpy, UnknownROSArgsError, without_source)
-
-_QOS = 'qos_overrides.'
-_CHOICES = {
-    'history': [policy.name.lower() for policy in HistoryPolicy if policy.name != 'UNKNOWN'],
-    'reliability': [policy.name.lower() for policy in ReliabilityPolicy
-                    if policy.name != 'UNKNOWN']}
-#: A history of more messages costs more memory than a state is worth.
-_MAX_DEPTH = 100_000
-
-
-def check_qos_values(node: Node) -> None:
-    """
-    Check the values of QoS overrides; rclpy would raise unclear errors, or accept them.
-
-    :raises ParameterError: if one cannot be used
-    """
-    for name, parameter in _qos_overrides(node):
-        policy, value = name.rpartition('.')[2], parameter.value
-        choices = _CHOICES.get(policy)
-        if choices is not None and value not in choices:
-            raise ParameterError(f"parameter '{name}': unknown value {quoted(value)}: "
-                                 f'{describe_choices(value, choices)}')
-        if policy == 'depth' and not (type(value) is int and 1 <= value <= _MAX_DEPTH):
-            raise ParameterError(f"parameter '{name}' must be an integer from 1 to {_MAX_DEPTH}, "
-                                 f'got {quoted(value)}')
-
-
-def check_qos_names(node: Node) -> None:
-    """
-    Check that each QoS override belongs to a topic; to be called when all topics exist.
-
-    Exact values below ``truth/`` may come later, beside the topics that exist.
-
-    :raises ParameterError: naming the nearest override that has an effect
-    """
-    for name, _ in _qos_overrides(node):
-        if not node.has_parameter(name) and not node.has_parameter(
-                name.replace('/truth/', '/', 1)):
-            known = node.list_parameters([_QOS[:-1]], 0).names
-            near = difflib.get_close_matches(name, known, n=2, cutoff=0.0)
-            raise ParameterError(f'unknown parameter {quoted(name, 200)}: did you mean '
-                                 + ' or '.join(f"'{other}'" for other in near) + '?')
-
-
-def _qos_overrides(node: Node) -> list[tuple[str, Any]]:
-    overrides = parameter_overrides(node)
-    return [(name, overrides[name]) for name in sorted(overrides) if name.startswith(_QOS)]
+from manip_sim.rclpy_internals import RCLError, start_rclpy, UnknownROSArgsError, without_source
 
 
 def for_other_nodes(arguments: Sequence[str], node_name: str) -> Iterator[str]:

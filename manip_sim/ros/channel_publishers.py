@@ -17,7 +17,8 @@ from rclpy.serialization import serialize_message
 from manip_sim.arrays import FloatArray
 from manip_sim.channels.contents import Channel, Fields
 from manip_sim.channels.kinds import (
-    instrument_channels, lidar_channel, object_channels, offered_channel, robot_channels)
+    clock_channel, instrument_channels, lidar_channel, object_channels, offered_channel,
+    robot_channels)
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.interface.offered_sensors import Offered, offered_topics, SensorSettings
 from manip_sim.interface.profiles import JointNames
@@ -197,6 +198,11 @@ def _with_names(channel: Channel, names: JointNames) -> Channel:
                 for key, value in channel.make(head, numbers).items()}
     return replace(channel, make=make,
                    exact=None if channel.exact is None else _with_names(channel.exact, names))
+
+
+def clock(context: NodeContext) -> ChannelPublishers:
+    """Return the publisher of the simulation time."""
+    return ChannelPublishers(context, lambda _: [[clock_channel()]])
 
 
 def object_states(context: NodeContext) -> ChannelPublishers:

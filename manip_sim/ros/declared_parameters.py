@@ -8,24 +8,34 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass
+import difflib
 from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 
 from manip_sim.control.modes import MODES
-from manip_sim.errors import ParameterError
+from manip_sim.errors import describe_choices, ParameterError
 from manip_sim.interface.parameter_spec import (
     check_names, COUPLED, coupled_names, forget_spawned, ParameterSpec)
 from manip_sim.interface.parameters import default_timeout
 from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
+from manip_sim.quoting import quoted
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
 
 #: Groups of parameters that set one another, by the name of one of them.
 _TIMED = dict.fromkeys(('control_mode', 'command_timeout', 'timeout_follows_mode'), 'control_mode')
+_QOS = 'qos_overrides.'
+_CHOICES = {
+    'history': [policy.name.lower() for policy in HistoryPolicy if policy.name != 'UNKNOWN'],
+    'reliability': [policy.name.lower() for policy in ReliabilityPolicy
+                    if policy.name != 'UNKNOWN']}
+#: A history of more messages costs more memory than a state is worth.
+_MAX_DEPTH = 100_000
 
 
 @dataclass(frozen=True)
@@ -55,10 +65,12 @@ class Parameters:
     The parameters of a node: declares them and validates their changes.
 
     :param node: the node; its overrides may give an integer where a double is declared
+    :raises ParameterError: if the value of a QoS override cannot be used
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
+        self._check_qos_values()
         self._specs: dict[str, ParameterSpec] = {}
         #: By name.
         self._of_parts: dict[str, _PartParameter] = {}
@@ -110,6 +122,38 @@ class Parameters:
         overrides = parameter_overrides(self._node)
         forget_spawned(overrides, self._specs)
         check_names(overrides, self._specs)
+
+    def _qos_overrides(self) -> list[tuple[str, Any]]:
+        overrides = parameter_overrides(self._node)
+        return [(name, overrides[name]) for name in sorted(overrides) if name.startswith(_QOS)]
+
+    def _check_qos_values(self) -> None:
+        """Check the values of QoS overrides; rclpy would raise unclear errors, or accept them."""
+        for name, parameter in self._qos_overrides():
+            policy, value = name.rpartition('.')[2], parameter.value
+            choices = _CHOICES.get(policy)
+            if choices is not None and value not in choices:
+                raise ParameterError(f"parameter '{name}': unknown value {quoted(value)}: "
+                                     f'{describe_choices(value, choices)}')
+            if policy == 'depth' and not (type(value) is int and 1 <= value <= _MAX_DEPTH):
+                raise ParameterError(f"parameter '{name}' must be an integer from 1 to "
+                                     f'{_MAX_DEPTH}, got {quoted(value)}')
+
+    def check_qos_names(self) -> None:
+        """
+        Check that each QoS override belongs to a topic; to be called when all topics exist.
+
+        Exact values below ``truth/`` may come later, beside the topics that exist.
+
+        :raises ParameterError: naming the nearest override that has an effect
+        """
+        for name, _ in self._qos_overrides():
+            if not self._node.has_parameter(name) and not self._node.has_parameter(
+                    name.replace('/truth/', '/', 1)):
+                known = self._node.list_parameters([_QOS[:-1]], 0).names
+                near = difflib.get_close_matches(name, known, n=2, cutoff=0.0)
+                raise ParameterError(f'unknown parameter {quoted(name, 200)}: did you mean '
+                                     + ' or '.join(f"'{other}'" for other in near) + '?')
 
     def rejection(self, parameters: Sequence[Parameter]) -> str | None:
         """Return why parameters cannot be changed, whatever their values are, or None."""

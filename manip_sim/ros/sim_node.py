@@ -17,7 +17,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
-from manip_sim.channels.kinds import clock_channel
 from manip_sim.control.law.kept import all_are_kept, laws_folder
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
@@ -30,23 +29,21 @@ from manip_sim.models.cameras import ImageSettings
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, MotionsUntilContact, offer_actions
-from manip_sim.ros.arguments import check_qos_names, check_qos_values
 from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.channel_publishers import (
-    ChannelPublishers, InstrumentPublishers, lidar_scans, object_states, OfferedSensors,
-    robot_states)
+    clock, InstrumentPublishers, lidar_scans, object_states, OfferedSensors, robot_states)
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.executor import BACKGROUND_THREAD
-from manip_sim.ros.feature import Feature, NodeContext, PublishingThread
+from manip_sim.ros.feature import (
+    add_offered_features, Feature, load_features, NodeContext, PublishingThread)
 from manip_sim.ros.live_parameters import LiveParameters
-from manip_sim.ros.offered_features import add_offered_features, load_features
 from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
-from manip_sim.ros.startup_log import log_start
+from manip_sim.ros.startup_log import StartupLog
 from manip_sim.ros.visualization_topics import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.world_publishers import (
     DescriptionPublisher, DynamicsPublisher, EpisodePublisher, JournalPublisher, ModelPublisher,
@@ -99,15 +96,13 @@ class SimNode(Node):
             raise
 
     def _build(self) -> None:
-        check_qos_values(self)
         self.declared = Parameters(self)
         composition = compose_world(self.declared)
-        self._world = composition.world
         self.profile = self._load_profile(composition)
-        self.simulation = Simulation(self._world)
+        self.simulation = Simulation(composition.world)
         robots = dict(zip(composition.scopes, self.simulation.robots.values()))
         declare_parts(self.declared, [(scope, r.parts) for scope, r in robots.items()])
-        cameras = declare_cameras(self.declared, self._world, self.simulation.model)
+        cameras = declare_cameras(self.declared, composition.world, self.simulation.model)
         offered = load_features(self.declared, self.get_logger().warning)
         self.declared.check_names()
         names = (self.profile.joint_names(*robots.values()) if self.profile.name else
@@ -122,8 +117,9 @@ class SimNode(Node):
             composition.task is not None)
         self._add_features(self.shared, composition, cameras)
         add_offered_features(self.shared, offered, self.get_logger().warning)
+        self._add(StartupLog(self.shared))
         self._parameters_changed([])
-        check_qos_names(self)
+        self.declared.check_qos_names()
         self.shared.is_built = True
         self.add_post_set_parameters_callback(self._parameters_changed)
 
@@ -220,7 +216,7 @@ class SimNode(Node):
         odometry = self._add(OdometryPublishers(context))
         self._add(SceneTopics(context, odometry.placed))
         if self.declared.value('publish_clock'):
-            self._add(ChannelPublishers(context, lambda _: [[clock_channel()]]))
+            self._add(clock(context))
         self._add(DescriptionPublisher(context, world, instruments))
         dynamics = self._add(DynamicsPublisher(context))
         self._add(EpisodePublisher(context, restart, dynamics.publish))
@@ -314,7 +310,6 @@ class SimNode(Node):
             threading.Thread(target=_load_laws, name=BACKGROUND_THREAD).start()
         for feature in self.shared.features:
             feature.started()
-        log_start(self.shared, self._world)
 
     def compile_laws(self) -> None:
         """

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,114 +17,27 @@ from urllib.parse import unquote, urlsplit
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from manip_sim.algebra import xyzw_to_wxyz
-from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.errors import CommandError, ModelError
 from manip_sim.interface.composition import check_robot_name, declare_parts
 from manip_sim.interface.parameters import spawned_parameter
 from manip_sim.interface.topics import Scope
 from manip_sim.interface.world_topics import topics_of_robot
-from manip_sim.models import compose_robot
-from manip_sim.models.bases import base_names
-from manip_sim.models.composing import DEFAULT, NONE
-from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
 from manip_sim.models.object_model import check_object_name
-from manip_sim.models.registry import is_path
-from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.untrusted_models import load_self_contained
 from manip_sim.models.user_files import AllowedRoots, InMemoryFile, parse_requested
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.quoting import format_value, quoted
+from manip_sim.quoting import quoted
 from manip_sim.ros.executor import in_background, RESULT_ROUNDS, Rounds
 from manip_sim.ros.feature import NodeContext
 from manip_sim.ros.messages import numbers_of, WORLD
 from manip_sim.ros.simulation_interfaces_messages import (
     answering_later, change_unless_diverged, free_name, Rejection, resource_of, result_filled,
     ResultCode, SpawnAllCode, SpawnCode, StandardTypes)
-from manip_sim.ros.startup_log import log_robot
-from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot, RobotsPlan
-
-#: Name of a robot that is sent as text.
-UNNAMED_ROBOT = 'robot'
-
-
-class RequestedRobot:
-    """
-    A robot, as a request describes it.
-
-    :param values: ``robot``, a name of the catalogue, which includes the folders of
-        ``model_path``, or a file; where they are not the robot's own ``gripper`` and ``base``,
-        names of the catalogue; and ``name``
-    :param where: where they come from, for messages
-    :param files: those that a request may name
-    :param folder: where relative paths begin; None: in the folders of ``spawn_roots``
-    :raises ModelError: on one line, naming the key
-    """
-
-    #: The key that only robots have.
-    KEY = 'robot'
-
-    def __init__(self, values: Mapping[str, Any], where: str, files: AllowedRoots,
-                 folder: Path | None = None) -> None:
-        self._given: Path | InMemoryFile | None = None
-        self._files = files
-        known = {'name': None, self.KEY: robot_names(),
-                 'gripper': [DEFAULT, NONE, *gripper_names()],
-                 'base': [DEFAULT, NONE, *base_names()]}
-        for key, value in values.items():
-            if key not in known:
-                raise ModelError(f'{where}: {UnknownNameError("key", key, known)}')
-            names = known[key]
-            if not isinstance(value, str):
-                raise ModelError(f'{where}: {key}: expected a name, got {format_value(value)}')
-            if names is None or value in names:
-                continue
-            if key != self.KEY or not is_path(value):
-                raise ModelError(f'{where}: {UnknownNameError(key, value, names)}')
-            self._given = files.first(
-                files.places(value) if folder is None else [folder / value])
-            files.check(self._given, 'robot file')
-        self._values = values
-
-    @classmethod
-    def from_text(cls, text: InMemoryFile, files: AllowedRoots) -> RequestedRobot:
-        """
-        Return the robot that a URDF is, which a request sends as text.
-
-        :param text: names no files
-        """
-        robot = cls({}, str(text.file), files)
-        robot._given, robot._values = text, {cls.KEY: UNNAMED_ROBOT}
-        return robot
-
-    @property
-    def name(self) -> str:
-        """The name that it gives itself, or what kind of robot it is."""
-        # These files need pydantic, whose import would make each start longer.
-        from manip_sim.models.files.xacro_expansion import split_arguments, stem_of
-        named: str = self._values[self.KEY]
-        default_name = named if self._given is None else stem_of(Path(split_arguments(named)[0]))
-        name: str = self._values.get('name', default_name)
-        return name
-
-    def create(self, name: str, pose: Pose) -> RobotModel:
-        """
-        Create the robot.
-
-        :param name: begin of all of its names
-        :param pose: of its base
-        :raises ModelError: if the parts do not fit together
-        """
-        from manip_sim.models.files.requested_robot import load_requested
-        robot = compose_robot(
-            self._values[self.KEY] if self._given is None else load_requested(
-                self._given, self._files, name), self._values.get('gripper', DEFAULT),
-            self._values.get('base', DEFAULT), prefix=f'{name}_', idn=name)
-        # A message cannot leave out the height, so zero does not count as a choice.
-        robot.set_base_xpos(pose.position, may_be_raised=not pose.position[2])
-        robot.set_base_quat(pose.quat_xyzw)
-        return robot
+from manip_sim.simulation.robot_spawning import (
+    plan_with_robot, plan_without_robot, RequestedRobot, RobotsPlan)
 
 
 class SpawnedRobots:
@@ -174,7 +87,6 @@ class SpawnedRobots:
         declare_parts(context.parameters, [(scope, robot.parts)])
         for feature in context.features:
             feature.robot_added(scope, robot)
-        log_robot(context, robot)
         context.world_changed()
 
     async def remove(self, name: str) -> None:

@@ -35,8 +35,8 @@ from manip_sim.ros.simulation_interfaces_messages import (
     LoadCode, reject_if_diverged, Rejection, resource_of, result_filled, ResultCode,
     ScopeCode, SetEntityCode, SetStateCode, StandardTypes, StateCode, TagsMode, WorldCode)
 from manip_sim.ros.spawning_services import (
-    FORMATS, RequestedRobot, SpawnedRobots, SpawningServices, SUFFIXES)
-from manip_sim.simulation.robot_spawning import plan_in_arena, RobotsPlan
+    FORMATS, SpawnedRobots, SpawningServices, SUFFIXES)
+from manip_sim.simulation.robot_spawning import plan_in_arena, RequestedRobot, RobotsPlan
 
 re2 = import_optional('re2')
 #: Of a regular expression, as a program and as a text; RE2 takes long for thousands of brackets.

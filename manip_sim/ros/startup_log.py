@@ -17,45 +17,44 @@ from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import TOPIC_PLUGIN
 from manip_sim.models.world import inferred_by_model, skipped_geoms
 from manip_sim.rclpy_internals import missing_for_publishing
-from manip_sim.ros.feature import NodeContext
+from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import missing_note
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 Value = Callable[[str], Any]
 
 
-def log_start(context: NodeContext, world: World) -> None:
-    """
-    Log what the simulation consists of, and what the user has to know of it.
+class StartupLog(Feature):
+    """Logs the robots of a simulation after its start, and what the user has to know of them."""
 
-    :param world: as it is at the start
-    """
-    log, value, simulation = (
-        context.node.get_logger(), context.parameters.value, context.simulation)
-    log.info(_introduction(context.robots, simulation, value, context.thread.paused))
-    for note in (*_inferred(world), *simulation.lowered_gains, *context.notes,
-                 *([missing_note(context.missing)] if context.missing else ())):
-        log.info(note)
-    for name in missing_for_publishing():
-        log.warning(f'no {name}: Python does nothing else while a message is published')
-    for sentence in skipped_geoms(world):
-        log.warning(sentence)
-    for defect in simulation.start_defects:
-        log.warning(f'start: {defect}')
-    if (value('ros2_control_tag') and value('stepping') == 'lockstep'
-            and value('ros2_control_plugin') == TOPIC_PLUGIN):
-        log.warning(STALLS)
-    if context.node.get_parameter('use_sim_time').value:
-        log.warning('use_sim_time has no effect here: this node is the source of the time')
+    def __init__(self, context: NodeContext) -> None:
+        self._context, self._log = context, context.node.get_logger()
 
+    def started(self) -> None:
+        context, log, value = self._context, self._log, self._context.parameters.value
+        simulation, world = context.simulation, context.simulation.world
+        log.info(_introduction(context.robots, simulation, value, context.thread.paused))
+        for note in (*_inferred(world), *simulation.lowered_gains, *context.notes,
+                     *([missing_note(context.missing)] if context.missing else ())):
+            log.info(note)
+        for name in missing_for_publishing():
+            log.warning(f'no {name}: Python does nothing else while a message is published')
+        for sentence in skipped_geoms(world):
+            log.warning(sentence)
+        for defect in simulation.start_defects:
+            log.warning(f'start: {defect}')
+        if (value('ros2_control_tag') and value('stepping') == 'lockstep'
+                and value('ros2_control_plugin') == TOPIC_PLUGIN):
+            log.warning(STALLS)
+        if context.node.get_parameter('use_sim_time').value:
+            log.warning('use_sim_time has no effect here: this node is the source of the time')
 
-def log_robot(context: NodeContext, robot: SimulatedRobot) -> None:
-    """Log what the user has to know of a robot that has come."""
-    log, world = context.node.get_logger(), context.simulation.world
-    for note in (*_inferred(world, robot.robot_model), *robot.joints.lowered):
-        log.info(note)
-    for sentence in skipped_geoms(world, robot.robot_model):
-        log.warning(sentence)
+    def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
+        world = self._context.simulation.world
+        for note in (*_inferred(world, robot.robot_model), *robot.joints.lowered):
+            self._log.info(note)
+        for sentence in skipped_geoms(world, robot.robot_model):
+            self._log.warning(sentence)
 
 
 def _introduction(robots: Mapping[Scope, SimulatedRobot], simulation: Simulation, value: Value,

@@ -11,8 +11,8 @@ from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.sim_node import SimNode
-from manip_sim.ros.spawning_services import RequestedRobot, SpawnedRobots
-from manip_sim.simulation.robot_spawning import plan_with_robot
+from manip_sim.ros.spawning_services import SpawnedRobots
+from manip_sim.simulation.robot_spawning import plan_with_robot, RequestedRobot
 
 
 class Recorder(Feature):

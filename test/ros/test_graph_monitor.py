@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from manip_sim.ros.graph_monitor import _nearest, GraphMonitor
+from manip_sim.ros.diagnostics import _nearest, GraphMonitor
 
 NEVER_READS = """
 import time

@@ -16,8 +16,8 @@ from manip_sim.models.object_creation import create_object
 from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.ros.spawning_services import RequestedRobot, SpawnedRobots
-from manip_sim.simulation.robot_spawning import plan_with_robot
+from manip_sim.ros.spawning_services import SpawnedRobots
+from manip_sim.simulation.robot_spawning import plan_with_robot, RequestedRobot
 
 #: Live parameters of the node that are no settings of a robot.
 OF_NODE = {'seed', 'keyframe', 'pause_at', 'real_time_factor', 'expected_command_rate'}

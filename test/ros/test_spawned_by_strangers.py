@@ -34,7 +34,8 @@ from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
 from manip_sim.ros.executor import BACKGROUND_THREAD, begin, in_background
 from manip_sim.ros.simulation_interfaces_messages import StandardTypes
-from manip_sim.ros.spawning_services import RequestedRobot, SpawningServices
+from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.simulation.robot_spawning import RequestedRobot
 from manip_sim.startup import leave
 
 pytestmark = pytest.mark.full

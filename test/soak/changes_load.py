@@ -18,9 +18,9 @@ from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.ros.spawning_services import RequestedRobot
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot
+from manip_sim.simulation.robot_spawning import (
+    plan_with_robot, plan_without_robot, RequestedRobot)
 
 _NAMES = ('left', 'gripper0', 'end_effector', 'table')
 #: Robots that are there at once.
