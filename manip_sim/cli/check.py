@@ -37,8 +37,8 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     else:
         world = compose_from(options).composition.world
         name = f'{world.name} in arena {world.arena.arena_name}'
-        found, remarks = _defects_of(world)
-        defects = [*found, *(StartDefect(
+        defects_of_world, remarks = _defects_of(world)
+        defects = [*defects_of_world, *(StartDefect(
             'meshes', sentence, 'see there, or accept it by meshes: none in the YAML file of the '
             'model') for sentence in skipped_geoms(world))]
         if options.against is not None:

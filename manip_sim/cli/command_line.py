@@ -123,11 +123,11 @@ def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:
 
 def _conflict(options: argparse.Namespace) -> str | None:
     """Return which options do not go together, or None."""
-    given = [name for name in COMPOSITION if getattr(options, name, None) is not None]
-    if options.command == 'check' and options.file is not None and (given or options.against):
+    names = [name for name in COMPOSITION if getattr(options, name, None) is not None]
+    if options.command == 'check' and options.file is not None and (names or options.against):
         return 'check either a FILE or a composition, not both'
-    if 'params_file' in given and len(given) > 1:
-        return f'--params-file cannot be combined with --{given[0].replace("_", "-")}'
+    if 'params_file' in names and len(names) > 1:
+        return f'--params-file cannot be combined with --{names[0].replace("_", "-")}'
     if options.command == 'export':
         folder = isinstance(options.ros2_control, Path)
         if (options.file is not None) + (options.moveit is not None or folder) != 1:

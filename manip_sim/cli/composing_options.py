@@ -58,8 +58,8 @@ def compose_from(options: argparse.Namespace) -> Composed:
 
 def arena_from(options: argparse.Namespace) -> Arena:
     """Return the arena that the options describe; raises as :func:`compose_from`."""
-    given = _given(options)
-    parameters = GivenParameters({name: value for name, value in given.items()
+    values = _given(options)
+    parameters = GivenParameters({name: value for name, value in values.items()
                                   if name not in ('robot', 'gripper', 'base', 'tactile')})
     declare_node(parameters)
     return compose_arena(parameters)
@@ -69,14 +69,14 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters that the node needs for the same composition."""
     if options.params_file is not None:
         return read_parameters(options.params_file)
-    given = {name: getattr(options, name) for name in _PARAMETERS
-             if getattr(options, name) is not None}
+    values = {name: getattr(options, name) for name in _PARAMETERS
+              if getattr(options, name) is not None}
     if options.no_gravity_compensation:
-        given['gravity_compensation'] = False
+        values['gravity_compensation'] = False
     if options.object is not None:
-        given['objects'] = options.object
-    return {**given, **{name if name == 'cube' else f'arena.{name}': value
-                        for name, value in _arena_values(options).items()}}
+        values['objects'] = options.object
+    return {**values, **{name if name == 'cube' else f'arena.{name}': value
+                         for name, value in _arena_values(options).items()}}
 
 
 def _arena_values(options: argparse.Namespace) -> dict[str, Any]:

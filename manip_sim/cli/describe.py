@@ -281,8 +281,8 @@ def _limits_of_driven(simulated: Any, robot: SimulatedRobot) -> dict[str, Row]:
 
 def _effort(model: mujoco.MjModel, joint: int, actuators: list[int]) -> list[float] | None:
     if len(actuators) == 1 and actuated_joints(model, actuators[0]) == [joint]:
-        found = effort_range(model, np.array([joint]), np.array(actuators))[0]
-        return _range(found) if np.isfinite(found).all() else None
+        limits = effort_range(model, np.array([joint]), np.array(actuators))[0]
+        return _range(limits) if np.isfinite(limits).all() else None
     return _limits(model.jnt_actfrclimited, model.jnt_actfrcrange, joint)
 
 
@@ -400,15 +400,15 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 def list_parts(options: argparse.Namespace) -> tuple[str, int]:
     """Return tables of all kinds or one, or JSON, and 1 if a part cannot be created, else 0."""
     kinds = KINDS if options.kind is None else (options.kind,)
-    found = {title: rows for kind in kinds for title, rows in _SECTIONS[kind]().items()}
-    failed = any('error' in row for rows in found.values() for row in rows)
+    rows_by_title = {title: rows for kind in kinds for title, rows in _SECTIONS[kind]().items()}
+    failed = any('error' in row for rows in rows_by_title.values() for row in rows)
     if options.json:
         plain = {_key(title): [{_key(name): value for name, value in row.items()} for row in rows]
-                 for title, rows in found.items()}
+                 for title, rows in rows_by_title.items()}
         return json.dumps(plain, indent=2, allow_nan=False), int(failed)
-    texts = [_table(title, rows) for title, rows in found.items()]
-    where = f'Files of {PACKAGE} lie in {share_directory()}'
-    return '\n\n'.join([*filter(None, texts), where]), int(failed)
+    texts = [_table(title, rows) for title, rows in rows_by_title.items()]
+    location = f'Files of {PACKAGE} lie in {share_directory()}'
+    return '\n\n'.join([*filter(None, texts), location]), int(failed)
 
 
 def _key(name: str) -> str:
@@ -464,12 +464,12 @@ def _part_rows(kind: str, names: list[str], create: Callable[[str], Any],
     def row(name: str) -> Row:
         try:
             part = create(name)
-            own = columns(name, part)
+            properties = columns(name, part)
         except Exception as error:  # A class of another package may raise anything.
             reason = f'cannot be created: {type(error).__name__}: {error}'
             return {'name': name, 'error': one_line(reason)}
         source, file = origin(part, kind)
-        return {'name': name, **own, 'from': source, 'file': file}
+        return {'name': name, **properties, 'from': source, 'file': file}
     return {kind: [row(name) for name in names]}
 
 

@@ -95,6 +95,6 @@ def _hardware(composed: Composed, name: str) -> Hardware:
             robot.set_control_mode(part, value(scope.parameter(f'control_mode.{part}')))
     named = topics_of_instruments(simulation, dict(zip(composition.scopes, robots.values())))
     settings = SensorSettings(
-        value('sensors'), [found.name for found, *_ in named], value('publish_rate'))
+        value('sensors'), [instrument.name for instrument, *_ in named], value('publish_rate'))
     return hardware_of(simulation, robot, scope, value('ros2_control_plugin'),
                        value('stepping') == 'lockstep', remapped, rates_hz=settings.rates_hz)

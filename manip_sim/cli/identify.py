@@ -57,18 +57,18 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
         raise ModelError(f'--payload is for arms with a flange, which {options.part} has not')
     model = RigidModel(simulation.model, simulation.data.qpos, joints, flanges)
     with ProgressBar('states') as progress:
-        found = identify(motion, model, options.cutoff, options.payload, progress.show)
+        identification = identify(motion, model, options.cutoff, options.payload, progress.show)
     if options.out is not None:
         write_whole(options.out, lambda file: _write(
-            file, options, found, composed.parameters.given))
-    observable = any(value.value is not None for joint in found.joints
+            file, options, identification, composed.parameters.given))
+    observable = any(value.value is not None for joint in identification.joints
                      for value in joint.values.values())
     if options.json:
         return json.dumps({
-            **asdict(found), 'suffices_s': found.suffices_s, 'topic': motion.topic,
-            'notes': _notes(options, motion, found)}, indent=2).replace('NaN', 'null'), int(
-                not observable)
-    return _report(options, motion, found), int(not observable)
+            **asdict(identification), 'suffices_s': identification.suffices_s,
+            'topic': motion.topic, 'notes': _notes(options, motion, identification)}, indent=2
+            ).replace('NaN', 'null'), int(not observable)
+    return _report(options, motion, identification), int(not observable)
 
 
 def _names(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, str]:
@@ -95,11 +95,11 @@ def _kept(value: Value) -> float:
     return float(f'{value.before if value.value is None else max(value.value, 0.0):.6g}')
 
 
-def _write(file: Path, options: argparse.Namespace, found: Identification,
+def _write(file: Path, options: argparse.Namespace, identification: Identification,
            composition: Mapping[str, Any]) -> None:
     """Write the composition with the identified values, as a parameter file."""
     import yaml
-    values = {key: [_kept(joint.values[kind]) for joint in found.joints]
+    values = {key: [_kept(joint.values[kind]) for joint in identification.joints]
               for key, kind in (*_WRITTEN.items(), ('armature', 'armature'))}
     armature = values.pop('armature')
     parameters: dict[str, Any] = {
@@ -111,22 +111,23 @@ def _write(file: Path, options: argparse.Namespace, found: Identification,
         {'/**': {'ros__parameters': parameters}}, sort_keys=False, width=math.inf))
 
 
-def _report(options: argparse.Namespace, motion: RecordedMotion, found: Identification) -> str:
+def _report(options: argparse.Namespace, motion: RecordedMotion, identification: Identification
+            ) -> str:
     width = terminal_width()
     values = [(joint.name, *(text for kind in joint.values for text in (
         number(joint.values[kind].value), '-' if joint.values[kind].value is None
-        else f'{joint.values[kind].error:.2g}'))) for joint in found.joints]
-    title = (f'{options.bag}, {motion.topic}: {found.fitted_s:.1f} s fitted, '
-             f'{found.held_out_s:.1f} s held out')
+        else f'{joint.values[kind].error:.2g}'))) for joint in identification.joints]
+    title = (f'{options.bag}, {motion.topic}: {identification.fitted_s:.1f} s fitted, '
+             f'{identification.held_out_s:.1f} s held out')
     texts = [table(title, ('joint', 'armature', '+-', 'damping', '+-', 'frictionloss', '+-',
                            'offset', '+-'), values, width),
              table('Effort that is left (rms)', (
                  'joint', 'fitted', 'held out', "with the model's values", 'explained [%]'),
-                 [_residuals(joint) for joint in found.joints], width)]
-    texts += [_payload(payload) for payload in found.payloads]
+                 [_residuals(joint) for joint in identification.joints], width)]
+    texts += [_payload(payload) for payload in identification.payloads]
     if options.out is not None:
         texts.append(str(options.out))
-    return '\n'.join([*texts, *_notes(options, motion, found)])
+    return '\n'.join([*texts, *_notes(options, motion, identification)])
 
 
 def _residuals(joint: JointFit) -> tuple[str, ...]:
@@ -142,48 +143,48 @@ def _payload(load: PayloadFit) -> str:
             f'mass in the frame of the flange {center} m')
 
 
-def _notes(options: argparse.Namespace, motion: RecordedMotion, found: Identification
+def _notes(options: argparse.Namespace, motion: RecordedMotion, identification: Identification
            ) -> list[str]:
     """Return what a user should know, a sentence each."""
     notes = [f'not observable: {kinds} of {joint}: {reason}'
-             for joint, kinds, reason in _unobserved(found)]
+             for joint, kinds, reason in _unobserved(identification)]
     notes += [f'{kind} of {joint.name} is negative: the model, or the sign of the efforts, does '
-              'not fit; the file has 0' for joint in found.joints
+              'not fit; the file has 0' for joint in identification.joints
               for kind, value in joint.values.items() if kind != 'offset'
               and value.value is not None
               and value.value < -max(3.0 * value.error, value.tolerance)]
     notes += [f'{joint.name}: only {100.0 * joint.explained:.0f} % of the efforts are explained: '
               'the robot, its gripper, its load or the unit of the efforts is another one'
-              for joint in found.joints if joint.explained < _WELL]
+              for joint in identification.joints if joint.explained < _WELL]
     notes += [f'the efforts fit a payload of {load.mass.value:.2f} +- {load.mass.error:.1g} kg '
               f'more at the flange of {load.arm}: choose the --gripper, or add --payload'
-              for load in found.hints]
-    notes += _length(found)
+              for load in identification.hints]
+    notes += _length(identification)
     if motion.missing:
         notes.append('not in the bag, and taken at the start pose: '
                      + quoted_names(motion.missing))
     if len(motion.stretches) > 1:
         notes.append(f'{len(motion.stretches)} stretches between gaps, of '
                      f'{motion.duration_s:.1f} s')
-    notes.append(f'the efforts are {1e3 * abs(found.lag_s):.1f} ms '
-                 f'{"behind" if found.lag_s >= 0.0 else "ahead of"} the positions, which was '
-                 'taken into account')
+    notes.append(f'the efforts are {1e3 * abs(identification.lag_s):.1f} ms '
+                 f'{"behind" if identification.lag_s >= 0.0 else "ahead of"} the positions, which '
+                 'was taken into account')
     return [*motion.notes, *notes]
 
 
-def _unobserved(found: Identification) -> list[tuple[str, str, str]]:
+def _unobserved(identification: Identification) -> list[tuple[str, str, str]]:
     """Return joints with the kinds of which nothing is told, and why."""
     rows: dict[tuple[str, str], list[str]] = {}
-    for joint in found.joints:
+    for joint in identification.joints:
         for kind, value in joint.values.items():
             if value.value is None:
                 rows.setdefault((joint.name, value.reason), []).append(kind)
     return [(name, ', '.join(kinds), reason) for (name, reason), kinds in rows.items()]
 
 
-def _length(found: Identification) -> list[str]:
+def _length(identification: Identification) -> list[str]:
     """Return whether a longer record would tell more, as far as its own scatter says."""
-    short = [(value.more, f'{kind} of {joint.name}', value) for joint in found.joints
+    short = [(value.more, f'{kind} of {joint.name}', value) for joint in identification.joints
              for kind, value in joint.values.items() if value.more > 1.0]
     if not short:
         return []
@@ -191,4 +192,4 @@ def _length(found: Identification) -> list[str]:
     others = (f', and {pluralize(len(short) - 1, "other value")} by more than 5 %'
               if len(short) > 1 else '')
     return [f'the record is short: {name} can be wrong by {value.within:.2g} (at 95 %){others}; '
-            f'{math.ceil(found.suffices_s / 10.0) * 10} s of this motion would suffice']
+            f'{math.ceil(identification.suffices_s / 10.0) * 10} s of this motion would suffice']

@@ -50,19 +50,19 @@ class OfferedVerb(Verb):
 
     def __init__(self, offer: Offer) -> None:
         self._offer = offer
-        found = offer.load()
-        if not (inspect.isclass(found) and issubclass(found, Verb)
-                and not inspect.isabstract(found)
-                and isinstance(getattr(found, 'summary', None), str)):
+        verb = offer.load()
+        if not (inspect.isclass(verb) and issubclass(verb, Verb)
+                and not inspect.isabstract(verb)
+                and isinstance(getattr(verb, 'summary', None), str)):
             raise ModelError(f'{offer} must be a class that derives from Verb, with run() and a '
-                             f'summary, got {found!r:.60}')
+                             f'summary, got {verb!r:.60}')
         if not _NAME.fullmatch(offer.name):
             raise ModelError(f'{offer} needs a name of lower-case letters, digits, _ and -')
         try:
-            self._verb: Verb = found()
+            self._verb: Verb = verb()
         except Exception as error:  # A class of another package may raise anything.
             raise self._failure(error) from error
-        self.summary = found.summary
+        self.summary = verb.summary
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """

@@ -37,21 +37,21 @@ def record(options: argparse.Namespace) -> tuple[str, int]:
         raise RecordError(missing_module(error)) from error
     name = f'/{options.node.strip("/")}'
     with ProgressBar('messages') as progress:
-        text, found = record_node(
+        text, written = record_node(
             options.file, name, options.topics, options.duration, progress.show)
-    return text, int(not found)
+    return text, int(not written)
 
 
 def replay(options: argparse.Namespace) -> tuple[str, int]:
     """Repeat the records; return what differs, how many do not, and the exit code."""
     repeated = _Repeated(options.verify)
     for path in records_in(options.files):
-        found = Record(path)
-        if found.of_node:
-            repeated.node(found)
+        record = Record(path)
+        if record.of_node:
+            repeated.node(record)
         else:
-            repeated.episodes(found)
-        if found.cut_off:
+            repeated.episodes(record)
+        if record.cut_off:
             repeated.cut_off = True
             repeated.lines.append(f'{path}: the file ends early, and was read up to there')
     return repeated.result()
@@ -72,15 +72,15 @@ class _Repeated:
         with ProgressBar('episodes') as progress:
             for recorded in record.episodes():
                 try:
-                    found = self._replay.repeat(recorded)
+                    repetition = self._replay.repeat(recorded)
                 except RecordError as error:
                     raise RecordError(f'{record.path}: {error}') from error
                 self._total += 1
                 self._episodes += 1
-                self._equal += found.difference is None
-                self._succeeded += found.success
+                self._equal += repetition.difference is None
+                self._succeeded += repetition.success
                 self._recorded_success += recorded.success
-                self.lines += _lines(record.path, found, self._verify)
+                self.lines += _lines(record.path, repetition, self._verify)
                 progress.show(self._episodes)
 
     def node(self, record: Record) -> None:
@@ -104,13 +104,13 @@ class _Repeated:
         return '\n'.join(self.lines), 0
 
 
-def _lines(path: Path, found: Repetition, verify: bool) -> list[str]:
-    about = f'{path}: episode {found.recorded.number} (seed {found.recorded.seed})'
-    if found.difference is not None and verify:
-        return [f'{about}: {found.difference}']
-    if found.success != found.recorded.success and not verify:
-        return [f'{about}: {"success" if found.success else "no success"} after '
-                f'{found.periods} periods, not as recorded']
+def _lines(path: Path, repetition: Repetition, verify: bool) -> list[str]:
+    about = f'{path}: episode {repetition.recorded.number} (seed {repetition.recorded.seed})'
+    if repetition.difference is not None and verify:
+        return [f'{about}: {repetition.difference}']
+    if repetition.success != repetition.recorded.success and not verify:
+        return [f'{about}: {"success" if repetition.success else "no success"} after '
+                f'{repetition.periods} periods, not as recorded']
     return []
 
 
@@ -154,10 +154,11 @@ def demonstrate(options: argparse.Namespace) -> tuple[str, int]:
         options.out.mkdir(parents=True, exist_ok=True)
         kept = [*_demonstrations(options, Demonstrator(
             episode, device, options.out, {'device': options.device}, show))]
-    equal = sum(one.repeats for one in kept)
+    successes = sum(demonstration.success for demonstration in kept)
+    equal = sum(demonstration.repeats for demonstration in kept)
     return (f'{options.out}: {pluralize(len(kept), "demonstration")}, '
-            f'{sum(one.success for one in kept)} with success; {equal} of {len(kept)} repeat'
-            ), int(equal < len(kept) or not kept)
+            f'{successes} with success; {equal} of {len(kept)} repeat'), int(
+                equal < len(kept) or not kept)
 
 
 def _demonstrations(options: argparse.Namespace, demonstrator: Demonstrator
@@ -169,14 +170,14 @@ def _demonstrations(options: argparse.Namespace, demonstrator: Demonstrator
             seed += 1
             continue
         try:
-            one = demonstrator.run(seed)
+            demonstration = demonstrator.run(seed)
         except KeyboardInterrupt:
             return
-        print(_line(one), file=sys.stderr)
-        if one.file is not None:
-            yield one
+        print(_line(demonstration), file=sys.stderr)
+        if demonstration.file is not None:
+            yield demonstration
             seed, count = seed + 1, count + 1
-        if one.quits:
+        if demonstration.quits:
             return
 
 
@@ -195,12 +196,13 @@ def _pages() -> ModuleType:
     return task_page
 
 
-def _line(one: Demonstration) -> str:
+def _line(demonstration: Demonstration) -> str:
     """Return what became of a demonstration, and of its repetition."""
-    outcome = 'success' if one.success else 'no success'
-    about = f'seed {one.seed}: {outcome} after {pluralize(one.periods, "control period")}'
-    if one.repetition is None:
+    outcome = 'success' if demonstration.success else 'no success'
+    about = (f'seed {demonstration.seed}: {outcome} after '
+             f'{pluralize(demonstration.periods, "control period")}')
+    if demonstration.repetition is None:
         return f'{about}, discarded'
-    if one.repeats:
-        return f'{about}, repeats to {outcome}: {one.file}'
-    return f'{about}, does not repeat: {one.repetition.difference}'
+    if demonstration.repeats:
+        return f'{about}, repeats to {outcome}: {demonstration.file}'
+    return f'{about}, does not repeat: {demonstration.repetition.difference}'

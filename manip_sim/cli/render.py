@@ -74,14 +74,14 @@ def cameras(views: Sequence[View], model: mujoco.MjModel, points: Any, aspect: f
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     seen = {view: (points - middle) @ _axes(view).T for view in views if view.camera is None}
     distance = max((_nearest(of_view, tangents) for of_view in seen.values()), default=0.0)
-    found: list[Any] = [view.camera for view in views]
+    chosen: list[Any] = [view.camera for view in views]
     for index, view in enumerate(views):
         if view in seen:
-            found[index] = camera = mujoco.MjvCamera()
+            chosen[index] = camera = mujoco.MjvCamera()
             camera.azimuth, camera.elevation = view.azimuth, view.elevation
             camera.lookat[:] = middle + _aim(seen[view], distance) @ _axes(view)
             camera.distance = distance
-    return found
+    return chosen
 
 
 def _axes(view: View) -> Any:
@@ -154,17 +154,17 @@ def light_studio(scene: mujoco.MjvScene, azimuth: float) -> None:
     on_ground = 0.0
     scene.nlight = len(_LIGHTS)
     for index, (direction, brightness) in enumerate(_LIGHTS):
-        one = scene.lights[index]
-        one.type, one.texid, one.headlight = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, -1, 0
-        one.dir = np.array(direction) @ axes / np.linalg.norm(direction)
-        one.pos = -5.0 * one.dir
-        one.attenuation = (1.0, 0.0, 0.0)
-        one.castshadow = index == 0
+        light = scene.lights[index]
+        light.type, light.texid, light.headlight = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, -1, 0
+        light.dir = np.array(direction) @ axes / np.linalg.norm(direction)
+        light.pos = -5.0 * light.dir
+        light.attenuation = (1.0, 0.0, 0.0)
+        light.castshadow = index == 0
         # Its shadows, also those of a shape on its own walls, dim all three: so diffuse alone.
-        one.ambient, one.diffuse, one.specular = (
-            np.full(3, 0.0 if one.castshadow else _AMBIENT / (len(_LIGHTS) - 1)),
-            np.full(3, brightness), np.full(3, 0.0 if one.castshadow else _SPECULAR))
-        on_ground += one.ambient[0] - brightness * one.dir[2]
+        light.ambient, light.diffuse, light.specular = (
+            np.full(3, 0.0 if light.castshadow else _AMBIENT / (len(_LIGHTS) - 1)),
+            np.full(3, brightness), np.full(3, 0.0 if light.castshadow else _SPECULAR))
+        on_ground += light.ambient[0] - brightness * light.dir[2]
     for geom in scene.geoms[:scene.ngeom]:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
             geom.rgba[:3] = np.array(_BACKDROP) / on_ground

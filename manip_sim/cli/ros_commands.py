@@ -138,9 +138,9 @@ class _Graph:
             if present != before:
                 changed_s, before = time.monotonic(), present
             # A node may be found before its services; this node has some too.
-            found = present[0] and any([not self.is_own(name) for name in present[2]])
+            others_serve = present[0] and any([not self.is_own(name) for name in present[2]])
             return time.monotonic() - changed_s > _SETTLED_S and (
-                bool(found) or time.monotonic() - begin_s > _UNKNOWN_S)
+                bool(others_serve) or time.monotonic() - begin_s > _UNKNOWN_S)
         self.spin_until(settled, _ANSWER_S)
 
     def is_own(self, name: str) -> bool:
@@ -268,9 +268,9 @@ def _echo(graph: _Graph, options: argparse.Namespace) -> None:
 
 def _subscribed(graph: _Graph, options: argparse.Namespace, raw: bool = False) -> deque[Any]:
     """Subscribe to a topic as its publishers allow; return where its messages come."""
-    given = getattr(options, 'type', None)
-    if given:
-        kind, topic = _interface(given, 'msg'), graph.node.resolve_topic_name(options.name)
+    type_name = getattr(options, 'type', None)
+    if type_name:
+        kind, topic = _interface(type_name, 'msg'), graph.node.resolve_topic_name(options.name)
         graph.spin_until(lambda: topic in graph.published(), _UNKNOWN_S)
     else:
         topic = graph.find('published topic', options.name, graph.published)
@@ -491,14 +491,14 @@ def _interface(name: str, module: str) -> Any:
         raise ManipSimError(f'{quoted(name)} is not the type of a {label}, which is like '
                             f'PACKAGE/{module}/NAME')
     try:
-        found = importlib.import_module(f'{package}.{module}')
+        interfaces = importlib.import_module(f'{package}.{module}')
     except ImportError as error:
         raise ManipSimError(f'{label} type {quoted(name)}: there is no installed package '
                             f'{quoted(package)} with such types') from error
-    kind = getattr(found, words[-1], None)
+    kind = getattr(interfaces, words[-1], None)
     if not isinstance(kind, type):
         raise UnknownNameError(f'{label} type', name, [
-            f'{package}/{module}/{other}' for other, value in vars(found).items()
+            f'{package}/{module}/{other}' for other, value in vars(interfaces).items()
             if isinstance(value, type)])
     return kind
 
@@ -551,9 +551,9 @@ def _converted(present: Any, type_name: str, value: Any, now: Any) -> Any:
         raise TypeError
     element = array[1] or array[2]
     if '/' not in element:
-        return [_scalar(element, one) for one in value]
+        return [_scalar(element, item) for item in value]
     kind = _interface(element, 'msg')
-    return [_converted(kind(), element, one, now) for one in value]
+    return [_converted(kind(), element, item, now) for item in value]
 
 
 def _scalar(type_name: str, value: Any) -> Any:
@@ -577,7 +577,7 @@ def _plain(value: Any, limit: int, arrays: bool = True) -> Any:
     if hasattr(value, '__len__'):
         if not arrays:
             return f'<array of {len(value)}>'
-        shown = [_plain(one, limit) for one in value[:limit]]
+        shown = [_plain(item, limit) for item in value[:limit]]
         return shown + ['...'] if len(value) > limit else shown
     return value.item() if hasattr(value, 'item') else value
 

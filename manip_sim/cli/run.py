@@ -84,90 +84,90 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         summary = _run_one(options, cases[0], options.out)
         return _interrupted(options) if summary is None else _summary_text(summary)
     (kind,) = several
-    found = []
+    summaries = []
     for case in cases:
         late_s = case[kind]
         text = late_s if isinstance(late_s, str) else f'{late_s:g}'
         summary = _run_one(options, case, options.out / f'{_FOLDERS[kind]}_{text}')
         if summary is None:
             return _interrupted(options)
-        found.append((late_s, summary))
-    _plot(found, kind, options.out / PLOT)
-    return _sweep_text(found, kind)
+        summaries.append((late_s, summary))
+    _plot(summaries, kind, options.out / PLOT)
+    return _sweep_text(summaries, kind)
 
 
-def _plot(found: list[tuple[Any, dict[str, Any]]], kind: str, file: Path) -> None:
+def _plot(summaries: list[tuple[Any, dict[str, Any]]], kind: str, file: Path) -> None:
     """Draw the success over latencies of which at least two are numbers."""
-    numbers = [entry for entry in found if not isinstance(entry[0], str)]
+    numbers = [entry for entry in summaries if not isinstance(entry[0], str)]
     if len(numbers) > 1:
-        title = _sweep_title(found)
+        title = _sweep_title(summaries)
         write_whole(file, lambda part: part.write_text(
             success_over(title, _HEADS[kind], numbers)))
 
 
-def _sweep_title(found: list[tuple[Any, dict[str, Any]]]) -> str:
-    return f'{found[0][1]["task"]}, {found[0][1]["policy"]}'
+def _sweep_title(summaries: list[tuple[Any, dict[str, Any]]]) -> str:
+    return f'{summaries[0][1]["task"]}, {summaries[0][1]["policy"]}'
 
 
-def _answer_times(given: str | None) -> list[float | str]:
+def _answer_times(times: str | None) -> list[float | str]:
     """
     Return the values of --answer-time.
 
     :raises ModelError: if one is neither a number nor ``measured``
     """
-    found: list[float | str] = []
-    for text in (given or '0').split(','):
+    answer_times: list[float | str] = []
+    for text in (times or '0').split(','):
         try:
-            found.append(text if text == MEASURED else float(text))
+            answer_times.append(text if text == MEASURED else float(text))
         except ValueError as error:
             raise ModelError(f"--answer-time must be seconds or '{MEASURED}', got "
                              f'{quoted(text)}') from error
-    return found
+    return answer_times
 
 
 def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, float]]:
     """Return noise by the names of the node's parameters, and what it says about latency [s]."""
-    found: dict[str, Any] = {}
-    for given in options.noise or ():
-        name, is_value, value = given.partition(':=')
+    values: dict[str, Any] = {}
+    for noise in options.noise or ():
+        name, is_value, value = noise.partition(':=')
         if is_value:
             try:
-                found[name] = float(value)
+                values[name] = float(value)
             except ValueError as error:
-                raise ModelError(f'--noise {quoted(given)}: {quoted(value)} is not a number'
+                raise ModelError(f'--noise {quoted(noise)}: {quoted(value)} is not a number'
                                  ) from error
             continue
-        profile = share_directory() / 'config' / f'noise_{given}.yaml'
-        if given not in _PROFILES and not Path(given).is_file():
-            raise UnknownNameError('noise', given, _PROFILES)
-        found |= read_parameters(profile if given in _PROFILES else Path(given))
+        profile = share_directory() / 'config' / f'noise_{noise}.yaml'
+        if noise not in _PROFILES and not Path(noise).is_file():
+            raise UnknownNameError('noise', noise, _PROFILES)
+        values |= read_parameters(profile if noise in _PROFILES else Path(noise))
     late = dict.fromkeys(('command', 'state', 'command_jitter', 'state_jitter'), 0.0)
-    late |= {key: found.pop(f'latency.{key}') for key in late if f'latency.{key}' in found}
+    late |= {key: values.pop(f'latency.{key}') for key in late if f'latency.{key}' in values}
     if any(late.values()):
         task = Setting(options.task, options.robot, options.gripper,
                        control_hz=options.control_hz).create_task()
         late = Latency.of(late).rounded_up(task.world.timestep_s).as_mapping()
-    return found, late
+    return values, late
 
 
 def _interrupted(options: argparse.Namespace) -> tuple[str, int]:
     return f'{options.out}: interrupted; run the same command again to continue', 130
 
 
-def _sweep_text(found: list[tuple[Any, dict[str, Any]]], kind: str) -> tuple[str, int]:
+def _sweep_text(summaries: list[tuple[Any, dict[str, Any]]], kind: str) -> tuple[str, int]:
     """Return the table of runs with several latencies, and the exit code."""
     rows = []
-    for late_s, summary in found:
+    for late_s, summary in summaries:
         low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
         time_s = summary['median_time_of_success_s']
         late = late_s if isinstance(late_s, str) else f'{late_s:g} s'
         rows.append((late, f'{summary["successes"]} of {summary["episodes"]}',
                      f'{low} to {high} %', '-' if time_s is None else f'{time_s:.2f} s',
                      str(sum(summary['errors'].values()))))
-    title = _sweep_title(found)
+    title = _sweep_title(summaries)
     heads = _HEADS[kind], 'success', '95 % interval', 'median time', 'failed'
     return (table(title, heads, rows, terminal_width()),
-            int(any(summary['errors'] for _, summary in found)))
+            int(any(summary['errors'] for _, summary in summaries)))
 
 
 def _run_one(options: argparse.Namespace, case: dict[str, Any], out: Path
@@ -279,15 +279,15 @@ def _merge(options: argparse.Namespace) -> tuple[str, int]:
         runs.append(RunFolder(path, first.description, read_run(path).seeds, first.period_s))
     seeds = [*dict.fromkeys(seed for folder in runs for seed in folder.seeds)]
     target = RunFolder(options.out, first.description, seeds, first.period_s)
-    given: dict[int, Path] = {}
+    folders_by_seed: dict[int, Path] = {}
     with target.shard(1, 1) as shard:
         left = set(shard.left)
         for folder in runs:
             for seed, row in folder.rows().items():
-                if seed in given:
-                    raise ModelError(f'{given[seed]} and {folder.path} both have the seed {seed}: '
-                                     'the same shard twice')
-                given[seed] = folder.path
+                if seed in folders_by_seed:
+                    raise ModelError(f'{folders_by_seed[seed]} and {folder.path} both have the '
+                                     f'seed {seed}: the same shard twice')
+                folders_by_seed[seed] = folder.path
                 if seed in left:
                     shard.add(row)
     return _summary_text(target.finish())
@@ -295,12 +295,12 @@ def _merge(options: argparse.Namespace) -> tuple[str, int]:
 
 def _thinks(time: dict[str, Any]) -> str:
     """Return how long the policy thinks in simulated time."""
-    found = 'as long as it takes' if time['measured'] else f'{time["mean_s"]:g} s'
+    duration = 'as long as it takes' if time['measured'] else f'{time["mean_s"]:g} s'
     if time['jitter_s']:
-        found += f' +- {time["jitter_s"]:g} s'
+        duration += f' +- {time["jitter_s"]:g} s'
     if time['chunk_hz'] is not None:
-        found += f', chunks at {time["chunk_hz"]:g} Hz'
-    return found + (f', asked {time["ask_ahead"]} actions ahead' if time['ask_ahead'] else '')
+        duration += f', chunks at {time["chunk_hz"]:g} Hz'
+    return duration + (f', asked {time["ask_ahead"]} actions ahead' if time['ask_ahead'] else '')
 
 
 def _answers(summary: dict[str, Any]) -> str:
@@ -380,9 +380,9 @@ def _add_seeds(options: argparse.Namespace, comparison: Comparison) -> Compariso
         for run in comparison.runs:
             experiment = Experiment.of(run.description, run.records, options.policy_limit)
             # Those that are there come first.
-            own = [*dict.fromkeys([*run.seeds, *seeds])]
-            print(f'{run.path}: {len(own)} seeds', file=sys.stderr)
-            if run_seeds(experiment, run.path.absolute(), own, how) is None:
+            all_seeds = [*dict.fromkeys([*run.seeds, *seeds])]
+            print(f'{run.path}: {len(all_seeds)} seeds', file=sys.stderr)
+            if run_seeds(experiment, run.path.absolute(), all_seeds, how) is None:
                 return None
         comparison = _comparison(options)
     return comparison

@@ -230,7 +230,7 @@ def _driven_ranges(urdf: str) -> dict[str, tuple[float, float]]:
     for joint in ElementTree.fromstring(urdf).iter('joint'):
         if joint.get('type') != 'fixed' and joint.find('mimic') is None:
             limit = joint.find('limit')
-            given = {} if limit is None or joint.get('type') == 'continuous' else limit.attrib
-            ranges[str(joint.get('name'))] = (float(given.get('lower', -math.inf)),
-                                              float(given.get('upper', math.inf)))
+            attributes = {} if limit is None or joint.get('type') == 'continuous' else limit.attrib
+            ranges[str(joint.get('name'))] = (float(attributes.get('lower', -math.inf)),
+                                              float(attributes.get('upper', math.inf)))
     return ranges

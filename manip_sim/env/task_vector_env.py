@@ -405,12 +405,12 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                 pictures.close()
 
 
-def _mode(given: str | AutoresetMode) -> AutoresetMode:
+def _mode(mode: str | AutoresetMode) -> AutoresetMode:
     """Return a mode; UnknownNameError if it is none."""
     try:
-        return AutoresetMode(given)
+        return AutoresetMode(mode)
     except ValueError:
-        raise UnknownNameError('autoreset_mode', given, [
+        raise UnknownNameError('autoreset_mode', mode, [
             mode.value for mode in AutoresetMode]) from None
 
 
@@ -435,29 +435,29 @@ class _BatchedActions:
         :raises CommandError: if one cannot be carried out
         """
         numbers = np.zeros((len(answers), self._actions.size))
-        where = np.zeros(len(answers), dtype=bool)
+        is_due = np.zeros(len(answers), dtype=bool)
         for index in indices:
             due = answers[index].take_due()
             if len(due) == 1 and due[0][0] == 0:
-                numbers[index], where[index] = due[0][1], True
+                numbers[index], is_due[index] = due[0][1], True
             else:
                 answers[index].apply(due)
-        if where.any():
-            self._apply(numbers, where)
+        if is_due.any():
+            self._apply(numbers, is_due)
 
-    def _apply(self, numbers: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
+    def _apply(self, numbers: NDArray[np.float64], is_due: NDArray[np.bool_]) -> None:
         """Let an action take effect in each of some worlds, as :meth:`Actions.apply` does."""
         inside = np.clip(numbers, -1.0, 1.0)
         for item in self._actions.arms:
             robot = self._worlds.robots[item.robot.name]
             if isinstance(self._actions, JointActions):
                 robot.command.joint_command(
-                    item.names, part=item.arm, where=where, period_s=self._period_s,
+                    item.names, part=item.arm, where=is_due, period_s=self._period_s,
                     **{self._actions.mode: numbers[:, item.goals]})
             else:
                 robot.command_cartesian.action(
-                    item.arm, inside[:, item.goals], where=where, period_s=self._period_s)
+                    item.arm, inside[:, item.goals], where=is_due, period_s=self._period_s)
             if item.gripper.start < item.gripper.stop:
                 robot.command.action(
                     f'{item.arm}/gripper', np.repeat(inside[:, item.gripper], item.dof, axis=1),
-                    where=where, period_s=self._period_s)
+                    where=is_due, period_s=self._period_s)

@@ -128,20 +128,20 @@ class ActionFile(Device):
                 break
 
 
-def _of_row(where: str, header: Sequence[str], row: Sequence[str], names: Sequence[str]
+def _of_row(location: str, header: Sequence[str], row: Sequence[str], names: Sequence[str]
             ) -> Reading:
     if len(row) != len(header):
-        raise ModelError(f'{where} has {len(row)} cells, and the header has {len(header)}')
+        raise ModelError(f'{location} has {len(row)} cells, and the header has {len(header)}')
     cells = dict(zip(header, row))
     event = cells.get('event', '').strip()
     if event and event not in EVENTS:
-        raise UnknownNameError(f'event in {where}', event, EVENTS)
+        raise UnknownNameError(f'event in {location}', event, EVENTS)
     try:
         motion = np.array([float(cells[name]) for name in names])
     except ValueError as error:
-        raise ModelError(f'{where}: {error}') from error
+        raise ModelError(f'{location}: {error}') from error
     if not np.isfinite(motion).all():
-        raise ModelError(f'{where} has a number that is not finite')
+        raise ModelError(f'{location} has a number that is not finite')
     return Reading(motion, event=event)
 
 
@@ -173,14 +173,14 @@ class Keyboard(Device):
 
     def read(self) -> Reading:
         """Return the motion of the keys that are held, and what the others say."""
-        found, now = Reading(np.zeros(6)), time.monotonic()
+        reading, now = Reading(np.zeros(6)), time.monotonic()
         while select.select([self._terminal], [], [], 0.0)[0]:
             text = os.read(self._terminal, 64).decode(errors='replace')
             for key in text or ['']:
                 if key in self._EVENTS:
-                    found.event = found.event or self._EVENTS[key]
+                    reading.event = reading.event or self._EVENTS[key]
                 elif key == ' ':
-                    found.toggles = not found.toggles
+                    reading.toggles = not reading.toggles
                 elif key in self._AXES:
                     axis, sign = self._AXES[key]
                     self._until[axis] = 0.0
@@ -188,8 +188,8 @@ class Keyboard(Device):
             if not text:
                 break
         held = self._until > now
-        found.motion = held[:, 0].astype(float) - held[:, 1]
-        return found
+        reading.motion = held[:, 0].astype(float) - held[:, 1]
+        return reading
 
     def close(self) -> None:
         """Give the terminal back as it was."""
@@ -229,17 +229,17 @@ class EventDevice(Device):
 
     def read(self) -> Reading:
         """Return the present deflections, and what the buttons say."""
-        found = Reading(self._values)
+        reading = Reading(self._values)
         for event in self._events():
             if event.type in (self._RELATIVE, self._ABSOLUTE) and event.code in self._axes:
                 self._move(event)
             elif event.type == self._BUTTON and event.value == 1 and event.code in self._buttons:
                 meaning = self._buttons[event.code]
-                found.toggles ^= meaning == 'grip'
-                found.event = found.event or ('' if meaning == 'grip' else meaning)
+                reading.toggles ^= meaning == 'grip'
+                reading.event = reading.event or ('' if meaning == 'grip' else meaning)
         self._values[time.monotonic() - self._reported_s > self._RESTS_S] = 0.0
-        found.motion = self._values.copy()
-        return found
+        reading.motion = self._values.copy()
+        return reading
 
     def _move(self, event: Any) -> None:
         number, sign = self._axes[event.code]
@@ -279,9 +279,9 @@ def _input_device(kind: str, axes: set[int]) -> Any:
         raise ModelError(f'a {kind} needs evdev: pip install evdev') from error
     for path in evdev.list_devices():
         device = evdev.InputDevice(path)
-        found = device.capabilities(absinfo=False)
+        capabilities = device.capabilities(absinfo=False)
         if is_spacemouse(device.name) == (kind == 'spacemouse') and any(
-                axes <= set(found.get(of_type, ())) for of_type in (2, 3)):
+                axes <= set(capabilities.get(of_type, ())) for of_type in (2, 3)):
             return device
         device.close()
     raise ModelError(f'no {kind} is connected, or /dev/input may not be read: join the group '
@@ -309,12 +309,12 @@ class LeaderArm(Device):
         self._keys: list[tuple[str, bool]] = []
         for name in names:
             is_gripper = name.endswith(f'/{_GRIPPER}')
-            found = [motor for motor in motors if (motor == _GRIPPER) == is_gripper and (
+            candidates = [motor for motor in motors if (motor == _GRIPPER) == is_gripper and (
                 is_gripper or name == motor or name.endswith(f'_{motor}'))]
-            if len(found) != 1:
-                raise ModelError(f'the leader has {len(found)} joints for {quoted(name)}: it has '
-                                 f'{quoted_names(motors)}, the robot {quoted_names(names)}')
-            self._keys.append((found[0] + POSITION, is_gripper))
+            if len(candidates) != 1:
+                raise ModelError(f'the leader has {len(candidates)} joints for {quoted(name)}: it '
+                                 f'has {quoted_names(motors)}, the robot {quoted_names(names)}')
+            self._keys.append((candidates[0] + POSITION, is_gripper))
         self._keyboard = Keyboard() if sys.stdin.isatty() else None
         self.help = '' if self._keyboard is None else (
             'return: done, backspace: discard, q: quit')

@@ -246,11 +246,11 @@ class Worker:
         """Return answers of the policy and the wall time that they took [s], or its failure."""
         asked_s = time.perf_counter()
         try:
-            found = self._act(observations) if observations else ()
+            answers = self._act(observations) if observations else ()
         except PolicyFailure as failure:
             return dict.fromkeys(observations, failure)
         took_s = time.perf_counter() - asked_s
-        return {seed: (answer, took_s) for seed, answer in zip(observations, found)}
+        return {seed: (answer, took_s) for seed, answer in zip(observations, answers)}
 
     @contextlib.contextmanager
     def _reported(self) -> Iterator[None]:

@@ -94,8 +94,8 @@ def files_read(name: str) -> list[str]:
 
 def _policy_file(name: str) -> Path | None:
     """Return the file of a policy, or None if it cannot be found."""
-    where = name if os.path.isfile(name) else name.rpartition(':')[0]
-    return Path(where) if os.path.isfile(where) else _source(where, [Path(), *sys.path])
+    location = name if os.path.isfile(name) else name.rpartition(':')[0]
+    return Path(location) if os.path.isfile(location) else _source(location, [Path(), *sys.path])
 
 
 def _checked_interface(name: str, episode: Episode) -> Mapping[str, Any]:
@@ -260,13 +260,13 @@ def _loaded(name: str, keys: Collection[str] | None, batched: bool) -> Policy:
         network = (_onnx if suffix == '.onnx' else _torch_script)(name, keys)
         return _Function(network if batched else lambda observation: _answer(network(
             {key: value[None] for key, value in observation.items()})))
-    where, colon, attribute = name.rpartition(':')
-    if not (colon and where and attribute):
+    module, colon, attribute = name.rpartition(':')
+    if not (colon and module and attribute):
         raise ModelError(f'policy {quoted(name)} must be {_FORMS}')
-    item: Any = _module(where)
+    item: Any = _module(module)
     for part in attribute.split('.'):
         if not hasattr(item, part):
-            raise ModelError(f'policy {quoted(name)}: no {quoted(part)} in {where}: '
+            raise ModelError(f'policy {quoted(name)}: no {quoted(part)} in {module}: '
                              + describe_choices(part, [n for n in vars(item) if n[0] != '_']))
         item = getattr(item, part)
     return _made(name, item)
@@ -286,8 +286,8 @@ def _watched(name: str) -> Iterator[None]:
     try:
         yield
         # A file of the same name may have been loaded before, from another folder.
-        for module in [found for key, found in sys.modules.items()
-                       if found is not before.get(key)]:
+        for module in [module for key, module in sys.modules.items()
+                       if module is not before.get(key)]:
             if _is_below(Path(getattr(module, '__file__', None) or '/'), folder):
                 opened.update(Path(value) for value in vars(module).values()
                               if isinstance(value, (str, Path)) and os.path.isfile(value))
@@ -325,14 +325,14 @@ def _watch_opening() -> None:
     sys.addaudithook(note)
 
 
-def _module(where: str) -> Any:
+def _module(location: str) -> Any:
     """Import a module by its name or its file."""
-    with wrap_errors(f'policy: cannot import {quoted(where)}', ModelError):
-        if not where.endswith('.py'):
+    with wrap_errors(f'policy: cannot import {quoted(location)}', ModelError):
+        if not location.endswith('.py'):
             if '' not in sys.path:  # As python -m does, modules of the working directory count.
                 sys.path.insert(0, '')
-            return importlib.import_module(where)
-        file = Path(where).resolve()
+            return importlib.import_module(location)
+        file = Path(location).resolve()
         if str(file.parent) not in sys.path:  # Last, where its modules replace none of others.
             sys.path.append(str(file.parent))
         # A name of its own: a policy in random.py must not replace the module random.

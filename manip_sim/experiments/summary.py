@@ -122,16 +122,17 @@ _CAP = 5
 _PERCENT = (0, 25, 50, 75, 100)
 
 
-def success_over(title: str, head: str, found: Sequence[tuple[float, dict[str, Any]]]) -> str:
+def success_over(title: str, head: str, summaries: Sequence[tuple[float, dict[str, Any]]]) -> str:
     """
     Return an SVG of success rates with their 95 % intervals over latencies.
 
     :param title: above the picture
     :param head: of the horizontal axis
-    :param found: latencies [s], in any order, two of which differ, with the summary of each run
+    :param summaries: latencies [s], in any order, two of which differ, and the summary of each
+        run
     """
-    found = sorted(found, key=lambda entry: entry[0])
-    lowest, highest = found[0][0], found[-1][0]
+    summaries = sorted(summaries, key=lambda entry: entry[0])
+    lowest, highest = summaries[0][0], summaries[-1][0]
     right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
 
     def across(late_s: float) -> float:
@@ -147,9 +148,10 @@ def success_over(title: str, head: str, found: Sequence[tuple[float, dict[str, A
     for percent in _PERCENT:
         y = up(percent / 100.0)
         parts += [_line(_LEFT, y, right, y, '#ddd'), _label(_LEFT - 8, y + 4, str(percent), 'end')]
-    parts += [_label(across(late_s), bottom + 20, f'{late_s:g}', 'middle') for late_s, _ in found]
+    parts += [_label(across(late_s), bottom + 20, f'{late_s:g}', 'middle')
+              for late_s, _ in summaries]
     points = []
-    for late_s, summary in found:
+    for late_s, summary in summaries:
         x, (low, high) = across(late_s), map(up, summary['success_rate_95'])
         parts += [_line(x, low, x, high), _line(x - _CAP, low, x + _CAP, low),
                   _line(x - _CAP, high, x + _CAP, high)]

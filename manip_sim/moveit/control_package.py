@@ -115,12 +115,12 @@ ros2 launch {package} bringup.launch.py
 
 
 def write_control_package(world: World, folder: Path, hardware: Hardware,
-                          given: Mapping[str, Any]) -> tuple[list[str], Controlling]:
+                          parameters: Mapping[str, Any]) -> tuple[list[str], Controlling]:
     """
     Write a package that starts ros2_control for the only robot of a world.
 
     :param folder: becomes the package and gives it its name; must be new or empty
-    :param given: parameters of the node that serves the same world
+    :param parameters: parameters of the node that serves the same world
     :returns: omissions from the URDF, in sentences, and the controllers that MoveIt uses, of the
         first mode, by joint
     :raises ModelError: if the folder cannot be used, or the robot has no joints to control
@@ -157,7 +157,7 @@ def write_control_package(world: World, folder: Path, hardware: Hardware,
             **{other: {'ros__parameters': settings} for other, _, _, settings in groups
                if settings}},
         'config/sim_node.yaml': {'/**': {'ros__parameters': {
-            **given, 'ros2_control_tag': True, 'ros2_control_plugin': hardware.plugin}}}})
+            **parameters, 'ros2_control_tag': True, 'ros2_control_plugin': hardware.plugin}}}})
     texts[f'config/{name}.urdf'] = urdf.xml
     write_files(folder, {**{path: text.encode() for path, text in texts.items()}, **meshes})
     return list(urdf.notes), _controlling(groups)

@@ -143,22 +143,22 @@ def convert(paths: Iterable[Path], name: str, target: Path,
     if not target.parent.is_dir():
         raise RecordError(f'no such folder: {target.parent}')
     notes: list[str] = []
-    done, where = 0, ''
+    done, location = 0, ''
 
     def leave_out(path: Path, number: int) -> None:
         notes.append(f'{path}: episode {number} is not complete, and was left out')
 
     def frames() -> Iterator[Frames]:
-        nonlocal done, where
+        nonlocal done, location
         for path in paths:
             record = Record(path)
             for recorded in record.episodes():
                 if recorded.result is None or recorded.result.get('error'):
                     leave_out(path, recorded.number)
                 elif recorded.success or not only_success:
-                    where = f'{path}: '
+                    location = f'{path}: '
                     yield Frames(recorded)
-                    where = ''
+                    location = ''
                     done += 1
                     progress(done)
             if record.begun is not None:
@@ -173,7 +173,7 @@ def convert(paths: Iterable[Path], name: str, target: Path,
             unfinished.rename(target)
     except RecordError as error:
         left_out = f'; {len(notes)} incomplete' if notes and not done else ''
-        raise RecordError(f'{where}{error}{left_out}') from error
+        raise RecordError(f'{location}{error}{left_out}') from error
     except OSError as error:
         raise RecordError(f'{target}: {error.strerror or error}') from error
     except ImportError as error:

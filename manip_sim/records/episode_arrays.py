@@ -116,12 +116,12 @@ class Frames:
             name = '/'.join(scope[1:])
             self._add(into.objects, name, topic, self._poses(topic, name))
 
-    def _add(self, found: dict[str, Columns], name: str, topic: str, quantity: Columns) -> None:
+    def _add(self, columns: dict[str, Columns], name: str, topic: str, quantity: Columns) -> None:
         if not name:
             raise RecordError(f'{topic} does not say of what it is')
-        if name in found:
+        if name in columns:
             raise RecordError(f'{topic} is of {quoted(name)}, as another topic is')
-        found[name] = Columns(finite(quantity.values, topic), quantity.names)
+        columns[name] = Columns(finite(quantity.values, topic), quantity.names)
 
     def _poses(self, topic: str, name: str) -> Columns:
         messages = self.recorded.decoded(topic, 'geometry_msgs/PoseStamped')

@@ -264,8 +264,8 @@ def _common(profiles: Sequence[QoSProfile], what: str, more: Any, less: Any) -> 
 
 def _described(profile: QoSProfile) -> dict[str, Any]:
     """Return a profile as rosbag2 stores it."""
-    def duration(found: Any) -> dict[str, int]:
-        seconds, nanoseconds = divmod(found.nanoseconds, 1_000_000_000)
+    def duration(time: Any) -> dict[str, int]:
+        seconds, nanoseconds = divmod(time.nanoseconds, 1_000_000_000)
         return {'sec': seconds, 'nsec': nanoseconds}
     return {
         'history': int(profile.history), 'depth': profile.depth,

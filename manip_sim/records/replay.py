@@ -96,8 +96,8 @@ class Replay:
         if first is None:
             return Repetition(recorded, episode.periods, success)
         period, value = first
-        where = f'in period {period} of {len(states) - 1}' if period else 'at the start'
-        return Repetition(recorded, episode.periods, success, f'{value} first differs {where}'
+        instant = f'in period {period} of {len(states) - 1}' if period else 'at the start'
+        return Repetition(recorded, episode.periods, success, f'{value} first differs {instant}'
                           + _reason(recorded, episode), period)
 
     def _fresh(self, recorded: RecordedEpisode) -> Episode:
@@ -330,13 +330,13 @@ def _check_count(count: int) -> None:
                           'repeated')
 
 
-def _composed(given: dict[str, Any]) -> Composition:
+def _composed(parameters: dict[str, Any]) -> Composition:
     """
     Compose the world of parameters from a record.
 
     :raises RecordError: if they name files
     """
-    for name, value in given.items():
+    for name, value in parameters.items():
         most = _MOST_ROBOTS if name == 'robots' else _MOST_ITEMS
         if isinstance(value, list) and len(value) > most:
             raise RecordError(f'the parameter {quoted(name)} has {len(value)} items, and at most '
@@ -348,4 +348,4 @@ def _composed(given: dict[str, Any]) -> Composition:
                              or 'file' in described):
                     raise RecordError(f'the parameter {quoted(name)} names a file or folder, '
                                       'and a record does not contain those')
-    return compose_world(GivenParameters(given))
+    return compose_world(GivenParameters(parameters))

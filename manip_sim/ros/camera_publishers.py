@@ -78,14 +78,14 @@ class CameraPublishers:
     :param sensing: its noise and latency
     """
 
-    def __init__(self, context: NodeContext, name: str, found: Intrinsics, depth: bool,
+    def __init__(self, context: NodeContext, name: str, intrinsics: Intrinsics, depth: bool,
                  sensing: CameraSensing[Snapshot]) -> None:
         self._context = context
-        self.view = CameraView(name, found.width, found.height)
+        self.view = CameraView(name, intrinsics.width, intrinsics.height)
         self.sensing = sensing
         model = context.simulation.model
         self._frame_id = context.frame_prefix + FrameNames(model).opticals[model.camera(name).id]
-        channels = image_channels(name, found, depth)
+        channels = image_channels(name, intrinsics, depth)
         self._seen = [channel for channel in channels if channel.parts]
         self._images = {False: ImageOutputs(context, self._seen)}
         self._infos = [(channel, _create_output(context, channel.topic)) for channel in channels

@@ -256,12 +256,12 @@ class Parameters:
             if timeout in values and follows not in values:
                 values.update({name: Parameter(name, value=False)
                                for name in known[follows].same})
-            given = {name: values.get(name) or self._node.get_parameter(name)
-                     for name in (follows, mode)}
-            if {*given} & {*values} and given[follows].value is True and (
-                    given[mode].value in [*MODES]):
+            present = {name: values.get(name) or self._node.get_parameter(name)
+                       for name in (follows, mode)}
+            if {*present} & {*values} and present[follows].value is True and (
+                    present[mode].value in [*MODES]):
                 values.update({name: Parameter(
-                    name, value=default_timeout(part, given[mode].value))
+                    name, value=default_timeout(part, present[mode].value))
                     for name in known[timeout].same})
 
     @property
@@ -292,9 +292,9 @@ class Parameters:
         return SetParametersResult(successful=True)
 
 
-def _problem(spec: ParameterSpec, given: Parameter) -> str | None:
-    return (spec.type_problem(given.type_.name.lower(), given.value)
-            or spec.problem_with(given.value))
+def _problem(spec: ParameterSpec, parameter: Parameter) -> str | None:
+    return (spec.type_problem(parameter.type_.name.lower(), parameter.value)
+            or spec.problem_with(parameter.value))
 
 
 def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:

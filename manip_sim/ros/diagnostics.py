@@ -439,10 +439,10 @@ class GraphMonitor:
         return (info.node_name, info.node_namespace) == self._own
 
 
-def _types(own: Iterator[Any]) -> dict[str, str]:
+def _types(endpoints: Iterator[Any]) -> dict[str, str]:
     """Return the types of the publishers or subscriptions of the node, by topic."""
     return {endpoint.topic_name: f'{endpoint.msg_type.__module__.partition(".")[0]}/msg/'
-            f'{endpoint.msg_type.__name__}' for endpoint in list(own)}
+            f'{endpoint.msg_type.__name__}' for endpoint in list(endpoints)}
 
 
 def _incompatible(pairs: Sequence[tuple[QoSProfile, QoSProfile]]) -> str:

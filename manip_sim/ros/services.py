@@ -51,11 +51,12 @@ class PayloadServices:
         :raises ManipSimError: if it cannot be used; then nothing changes
         """
         if text:
-            found = _read(text, (*_ARM, *_PAYLOAD))
-            robot, arm = self._find(found)
-            if 'mass' not in found:
+            values = _read(text, (*_ARM, *_PAYLOAD))
+            robot, arm = self._find(values)
+            if 'mass' not in values:
                 raise CommandError("the payload needs a 'mass' [kg], 0 for nothing")
-            payload = Payload.checked(**{name: found[name] for name in _PAYLOAD if name in found})
+            payload = Payload.checked(**{
+                name: values[name] for name in _PAYLOAD if name in values})
             self._thread.change('set_payload', robot, arm, payload.mass,
                                 list(payload.center_of_mass), list(payload.inertia))
             self._thread.restarted()  # Parameters show what acts.
@@ -66,21 +67,21 @@ class PayloadServices:
                 for name, robot in self._simulation.robots.items()
                 for arm in robot.end_effectors]
 
-    def _find(self, found: Mapping[str, Any]) -> tuple[str, str]:
+    def _find(self, values: Mapping[str, Any]) -> tuple[str, str]:
         """Return the names of the robot and the arm that are meant."""
         robots = self._simulation.robots
-        name, arm = (found.get(key) for key in _ARM)
+        name, arm = (values.get(key) for key in _ARM)
         if name is not None and name not in robots:
             raise UnknownNameError('robot', str(name), robots)
-        arms = [(robot, own) for robot in robots if name in (None, robot)
-                for own in robots[robot].end_effectors if arm in (None, own)]
+        arms = [(robot, side) for robot in robots if name in (None, robot)
+                for side in robots[robot].end_effectors if arm in (None, side)]
         if len(arms) == 1:
             return arms[0]
         if not arms:
             raise UnknownNameError('arm with a gripper', str(arm), dict.fromkeys(
-                own for robot in robots.values() for own in robot.end_effectors))
+                side for robot in robots.values() for side in robot.end_effectors))
         raise CommandError("name the 'arm', and where several robots have it the 'robot': there "
-                           f"are {', '.join(f'{own} of {robot}' for robot, own in arms)}")
+                           f"are {', '.join(f'{side} of {robot}' for robot, side in arms)}")
 
     async def answer_estimate(self, request: Any, response: Any) -> Any:
         """Fill the response of ``~/estimate_payload``."""
@@ -120,20 +121,20 @@ class PayloadServices:
             await in_background(self._context.node, ended.wait)
         finally:
             self._thread.unobserve(observe)
-        found = estimation.result()
+        estimate = estimation.result()
         return json.dumps({
-            'robot': robot, 'arm': arm, **asdict(found.payload), 'error': {
-                'mass': found.mass_error, 'center_of_mass': found.center_of_mass_error}})
+            'robot': robot, 'arm': arm, **asdict(estimate.payload), 'error': {
+                'mass': estimate.mass_error, 'center_of_mass': estimate.center_of_mass_error}})
 
 
 def _read(text: str, known: tuple[str, ...]) -> dict[str, Any]:
     """Return the keys and values of a request."""
-    found = parse_yaml(text, 'the payload')
-    for key in found:
+    values = parse_yaml(text, 'the payload')
+    for key in values:
         if key not in known:
             raise ModelError(f'the payload: unknown key {quoted(key)}: '
                              f'{describe_choices(key, known)}')
-    return found
+    return values
 
 
 class SimulationServices(Feature):

@@ -227,9 +227,10 @@ class SpawningServices:
             with result_filled(objects[0].response.result):
                 raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
             return
-        given = [new.arguments for new in objects]
+        arguments = [new.arguments for new in objects]
         try:
-            self._take_over(plan, *(('spawn_all', given) if half else ('spawn', *given[0])))
+            self._take_over(plan, *(
+                ('spawn_all', arguments) if half else ('spawn', *arguments[0])))
         except Rejection as error:
             for new in objects:
                 with result_filled(new.response.result):

@@ -71,9 +71,9 @@ def _introduction(robots: Mapping[Scope, SimulatedRobot], simulation: Simulation
     for scope, robot in robots.items():
         name = f'{scope.name}: ' if scope.name else ''
         task = value('task')
-        where = (f'{value("robot")}, task {task}' if task else
-                 f'{value(scope.parameter("robot"))} in arena {value("arena")}')
-        lines.append(f'{name}{where}, '
+        composition = (f'{value("robot")}, task {task}' if task else
+                       f'{value(scope.parameter("robot"))} in arena {value("arena")}')
+        lines.append(f'{name}{composition}, '
                      f'{value("stepping")}, {value("publish_rate"):g} Hz, timestep '
                      f'{simulation.timestep_s:g} s'
                      + (', paused until ~/pause is called' if paused else ''))

@@ -54,11 +54,11 @@ class Tolerances:
     """
 
     def __init__(self, joints: Sequence[str], part: Sequence[str],
-                 given: Sequence[JointTolerance], velocity: float = math.inf) -> None:
+                 tolerances: Sequence[JointTolerance], velocity: float = math.inf) -> None:
         self._joints = joints
         self.position = np.full(len(joints), np.inf)
         self.velocity = np.full(len(joints), velocity)
-        for tolerance in given:
+        for tolerance in tolerances:
             if tolerance.name not in part:
                 raise GoalError(GoalCode.INVALID_JOINTS, 'a tolerance is for the joint '
                                 f'{quoted(tolerance.name)}, which is not in the part')

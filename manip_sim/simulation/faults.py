@@ -195,16 +195,16 @@ class Faults:
         for name, robot in self._robots.items():
             robot.faults.set(scheduled[name])
 
-    def inject(self, given: Mapping[str, Any]) -> None:
+    def inject(self, description: Mapping[str, Any]) -> None:
         """
         Add a fault to the present episode.
 
-        :param given: as in a plan, but times are from now on [s]; a range is its middle
+        :param description: as in a plan, but times are from now on [s]; a range is its middle
         :raises ModelError: if it cannot be used
         :raises UnknownNameError: if the part or robot is unknown
         """
-        fault = planned(given, 'the fault')
-        if 'chance' in given:
+        fault = planned(description, 'the fault')
+        if 'chance' in description:
             raise ModelError("the fault: one that is injected has no 'chance': it is there")
         number = sum(len(robot.faults.scheduled) for robot in self._robots.values())
         if number >= _MOST:

@@ -159,8 +159,8 @@ class Operations:
     def _law(self, robot: str, part: str, parameter: str, value: float) -> None:
         self._robot(robot).law_parameters(part)[parameter] = value
 
-    def _fault(self, given: Mapping[str, Any]) -> None:
-        self._simulation.faults.inject(given)
+    def _fault(self, description: Mapping[str, Any]) -> None:
+        self._simulation.faults.inject(description)
 
     def _place(self, name: str, pose: list[list[float]] | None, twist: list[list[float]] | None
                ) -> None:

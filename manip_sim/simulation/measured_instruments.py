@@ -80,14 +80,14 @@ class MeasuredInstruments:
         assert instrument is not None
         return instrument.read(self._physics.data)
 
-    def measured(self, found: Instrument) -> FloatArray:
+    def measured(self, instrument: Instrument) -> FloatArray:
         """
         Return what an instrument of the model measures, with noise and latency.
 
-        :param found: one of the instruments of :attr:`sensors`
+        :param instrument: one of the instruments of :attr:`sensors`
         :returns: as ``Instrument.read``
         """
-        sensing = self._sensing.get(found.name)
-        if sensing is None or not (sensing.settings.measures or found.name in self._noise):
-            return found.read(self._physics.data)
-        return sensing.measured(_CHANNELS + found.name)
+        sensing = self._sensing.get(instrument.name)
+        if sensing is None or not (sensing.settings.measures or instrument.name in self._noise):
+            return instrument.read(self._physics.data)
+        return sensing.measured(_CHANNELS + instrument.name)

@@ -74,15 +74,15 @@ class PayloadEstimation:
         self._reader = robot.end_effectors[arm]
         indices = joints.indices_of(arm)
         self._names = [joints.names[index] for index in indices]
-        found = [physics.model.joint(name) for name in self._names]
-        self._qpos = np.array([joint.qposadr[0] for joint in found])
-        self._dofs = np.array([joint.dofadr[0] for joint in found])
+        model_joints = [physics.model.joint(name) for name in self._names]
+        self._qpos = np.array([joint.qposadr[0] for joint in model_joints])
+        self._dofs = np.array([joint.dofadr[0] for joint in model_joints])
         others = [mode for mode in joints.modes_of(indices)
                   if not MODES[mode].follows_trajectories]
         if others:
             raise CommandError(f'the payload of {arm} can be estimated in position mode, but it '
                                f'is in {others[0]} mode, which follows no trajectories')
-        if any([np.isin(own.indices, indices).any() for own in (
+        if any([np.isin(command.indices, indices).any() for command in (
                 *joints.commands.running, *joints.commands.waiting)]):
             raise CommandError(f'the payload of {arm} cannot be estimated while the arm follows '
                                'another command')
@@ -182,23 +182,23 @@ class PayloadEstimation:
             raise CommandError(f'the payload of {arm} could not be estimated: the arm has not '
                                'come to rest where it was to be measured')
         values = np.concatenate(self._wrenches)
-        found = np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0], dtype=float)
-        variance = np.sum((rows @ found - values)**2) / (len(values) - len(found))
+        parameters = np.asarray(np.linalg.lstsq(rows, values, rcond=None)[0], dtype=float)
+        variance = np.sum((rows @ parameters - values)**2) / (len(values) - len(parameters))
         return self._estimate(
-            found[:4], variance * np.asarray(np.linalg.inv(rows.T @ rows))[:4, :4])
+            parameters[:4], variance * np.asarray(np.linalg.inv(rows.T @ rows))[:4, :4])
 
-    def _estimate(self, found: FloatArray, covariance: FloatArray) -> PayloadEstimate:
+    def _estimate(self, parameters: FloatArray, covariance: FloatArray) -> PayloadEstimate:
         """
         Return the estimate of mass and first moments beside those that were declared.
 
-        :param found: mass [kg] and first moments [kg m], shape (4,)
+        :param parameters: mass [kg] and first moments [kg m], shape (4,)
         """
         before = self._declared
-        mass = before.mass + found[0]
+        mass = before.mass + parameters[0]
         mass_error = float(np.sqrt(covariance[0, 0]))
         if mass < max(_NOTHING, 3.0 * mass_error):
             return PayloadEstimate(Payload(), mass_error, (0.0,) * 3)
-        center = (before.mass * np.array(before.center_of_mass) + found[1:]) / mass
+        center = (before.mass * np.array(before.center_of_mass) + parameters[1:]) / mass
         variances = (np.diag(covariance)[1:] + center**2 * covariance[0, 0]
                      - 2.0 * center * covariance[0, 1:]) / mass**2
         return PayloadEstimate(

@@ -161,8 +161,8 @@ class Decoder:
         if kind is np.ndarray:
             return content.copy()
         if kind is dict:
-            return {name: item if (of := type(item)) in _AS_IT_IS else
-                    item.copy() if of is np.ndarray else read(item)
+            return {name: item if (cls := type(item)) in _AS_IT_IS else
+                    item.copy() if cls is np.ndarray else read(item)
                     for name, item in content.items()}
         if kind in _AS_IT_IS:
             return content
@@ -205,13 +205,13 @@ class Decoder:
             if not fields <= members.keys():
                 raise ModelError(f'{quoted(name)} lacks attributes')
         restore = getattr(value, '__setstate__', vars(value).update)
-        found = self._read(members)
+        values = self._read(members)
         sizes: dict[Any, int] = {}
         for key, shape in shapes.items():
-            if found[key] is not None and not _fits(found[key], shape, sizes):
+            if values[key] is not None and not _fits(values[key], shape, sizes):
                 raise ModelError(f'{quoted(key)} of {quoted(name)} has another shape, or '
                                  'numbers of another kind')
-        restore(found)
+        restore(values)
         return value
 
 

@@ -203,8 +203,8 @@ def _is_grasped(model: mujoco.MjModel, data: mujoco.MjData, used: IntArray, pair
     """Return whether bodies of a gripper press on a body from opposite sides, or one sucks it."""
     pressing: dict[int, FloatArray] = {}
     force, pulling = np.empty(6), pulling_bodies(model, data)
-    for index, (one, other) in zip(used.tolist(), pairs.tolist()):
-        finger = one if other == body else other if one == body else -1
+    for index, (first, other) in zip(used.tolist(), pairs.tolist()):
+        finger = first if other == body else other if first == body else -1
         if finger in gripper:
             if finger in pulling:
                 return True
@@ -213,7 +213,7 @@ def _is_grasped(model: mujoco.MjModel, data: mujoco.MjData, used: IntArray, pair
             normal = data.contact.frame[index, :3] * (force[0] if other == body else -force[0])
             pressing[finger] = pressing.get(finger, 0.0) + normal
     forces = list(pressing.values())
-    return any(float(one @ other) < 0.0 for place, one in enumerate(forces)
+    return any(float(first @ other) < 0.0 for place, first in enumerate(forces)
                for other in forces[:place])
 
 

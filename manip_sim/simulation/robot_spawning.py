@@ -290,7 +290,7 @@ class RequestedRobot:
     #: The key that only robots have.
     KEY = 'robot'
 
-    def __init__(self, values: Mapping[str, Any], where: str, files: AllowedRoots,
+    def __init__(self, values: Mapping[str, Any], source: str, files: AllowedRoots,
                  folder: Path | None = None) -> None:
         self._given: Path | InMemoryFile | None = None
         self._files = files
@@ -299,14 +299,14 @@ class RequestedRobot:
                  'base': [DEFAULT, NONE, *base_names()]}
         for key, value in values.items():
             if key not in known:
-                raise ModelError(f'{where}: {UnknownNameError("key", key, known)}')
+                raise ModelError(f'{source}: {UnknownNameError("key", key, known)}')
             names = known[key]
             if not isinstance(value, str):
-                raise ModelError(f'{where}: {key}: expected a name, got {format_value(value)}')
+                raise ModelError(f'{source}: {key}: expected a name, got {format_value(value)}')
             if names is None or value in names:
                 continue
             if key != self.KEY or not is_path(value):
-                raise ModelError(f'{where}: {UnknownNameError(key, value, names)}')
+                raise ModelError(f'{source}: {UnknownNameError(key, value, names)}')
             self._given = files.first(
                 files.places(value) if folder is None else [folder / value])
             files.check(self._given, 'robot file')

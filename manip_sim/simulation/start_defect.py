@@ -279,9 +279,9 @@ class MjcfRemedies:
         """Return what a geom is called."""
         return f"geom '{geom}' of body '{body}'"
 
-    def exclusion(self, one: str, other: str) -> str:
+    def exclusion(self, first: str, other: str) -> str:
         """Return how two bodies are kept from colliding."""
-        return f'write <exclude body1="{one}" body2="{other}"/> into <contact>'
+        return f'write <exclude body1="{first}" body2="{other}"/> into <contact>'
 
     def drive(self, joints: list[str]) -> str:
         """Return how joints get what they lack, an actuator."""
@@ -321,9 +321,9 @@ class UrdfRemedies(MjcfRemedies):
         """Return what a geom is called: shapes of a URDF have no names."""
         return f"a collision shape of link '{body}'"
 
-    def exclusion(self, one: str, other: str) -> str:
+    def exclusion(self, first: str, other: str) -> str:
         """Return how two links are kept from colliding."""
-        return (f'write <disable_collisions link1="{one}" link2="{other}" reason="Never"/> into '
+        return (f'write <disable_collisions link1="{first}" link2="{other}" reason="Never"/> into '
                 'the SRDF of the same name beside the URDF')
 
     def drive(self, joints: list[str]) -> str:

@@ -222,8 +222,8 @@ class Expert(ABC):
         left, right = ([model.geom(name).id for name in _gripper(arm).important_geoms[
             f'{side}_fingerpad']] for side in ('left', 'right'))
         for _ in range(_MOST_WAITED):
-            if min((mujoco.mj_geomDistance(model, data, one, other, _FAR_M, ends)
-                    for one in left for other in right), default=_FAR_M) > width_m + _ROOM_M:
+            if min((mujoco.mj_geomDistance(model, data, geom, other, _FAR_M, ends)
+                    for geom in left for other in right), default=_FAR_M) > width_m + _ROOM_M:
                 return
             yield
 

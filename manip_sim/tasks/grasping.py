@@ -49,10 +49,10 @@ def pressure(simulation: Simulation, bodies: Collection[int], on: Collection[str
     model, data = simulation.model, simulation.data
     total, force = 0.0, np.empty(6)
     used, pairs = bodies_in_contact(model, data)
-    for number, (one, other) in zip(used.tolist(), pairs.tolist()):
-        if (one in bodies) == (other in bodies):
+    for number, (first, other) in zip(used.tolist(), pairs.tolist()):
+        if (first in bodies) == (other in bodies):
             continue
-        name = model.body(other if one in bodies else one).name
+        name = model.body(other if first in bodies else first).name
         if name not in but and (not on or name in on):
             mujoco.mj_contactForce(model, data, number, force)
             total += float(force[0])

@@ -176,6 +176,6 @@ def observe(observers: Sequence[Observer]) -> Observation:
         observation[key] = np.stack(rows).reshape(len(observers), -1, len(rows[0]))
     others = [[observer.surroundings() for observer in observers]]
     if (pictures := observers[0].pictures) is not None:
-        others.append(pictures.each(lambda own, observer: observer.images(own), observers))
+        others.append(pictures.each(lambda views, observer: observer.images(views), observers))
     return observation | {key: np.stack([item[key] for item in seen]) for seen in others
                           for key in seen[0]}

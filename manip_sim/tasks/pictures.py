@@ -158,16 +158,16 @@ def _free_lost() -> None:
         lost[1].close()
 
 
-def descriptions(given: Iterable[CameraLike]) -> list[dict[str, Any]]:
+def descriptions(cameras: Iterable[CameraLike]) -> list[dict[str, Any]]:
     """
     Return the descriptions among some cameras, as ``compose`` takes them.
 
     :raises ModelError: if one is not YAML
     """
-    return described_cameras(_texts(given))
+    return described_cameras(_texts(cameras))
 
 
-def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
+def views_of(cameras: Iterable[CameraLike], world: World, simulation: Simulation,
              image_size: tuple[int, int] | None = None) -> dict[str, tuple[int, int]]:
     """
     Return width and height of the images [pixels], by camera.
@@ -182,25 +182,25 @@ def views_of(given: Iterable[CameraLike], world: World, simulation: Simulation,
             isinstance(edge, int) and 1 <= edge <= MAX_PIXELS for edge in image_size)):
         raise ModelError(f'image_size must be width and height from 1 to {MAX_PIXELS} pixels, got '
                          f'{image_size!r:.60}')
-    chosen = chosen_cameras(_texts(given), world.cameras, simulation.model)
+    chosen = chosen_cameras(_texts(cameras), world.cameras, simulation.model)
     return {name: image_size or (images.width, images.height) for name, images in chosen.items()}
 
 
-def checked_kinds(given: Sequence[str]) -> tuple[str, ...]:
+def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
     """
     Return kinds of images, in the order of :data:`KINDS`.
 
     :raises UnknownNameError: if one is not known
     :raises ModelError: if there is none, or one twice
     """
-    for kind in [given] if isinstance(given, str) else given:
+    for kind in [kinds] if isinstance(kinds, str) else kinds:
         if kind not in KINDS:
             raise UnknownNameError('kind of images', kind, KINDS)
-    if isinstance(given, str) or not given or len(set(given)) < len(given):
+    if isinstance(kinds, str) or not kinds or len(set(kinds)) < len(kinds):
         raise ModelError(f'image_kinds must be one or several of {", ".join(KINDS)}, each once, '
-                         f'in a list, got {given!r:.60}')
-    return tuple(kind for kind in KINDS if kind in given)
+                         f'in a list, got {kinds!r:.60}')
+    return tuple(kind for kind in KINDS if kind in kinds)
 
 
-def _texts(given: Iterable[CameraLike]) -> list[str]:
-    return [camera if isinstance(camera, str) else json.dumps(dict(camera)) for camera in given]
+def _texts(cameras: Iterable[CameraLike]) -> list[str]:
+    return [camera if isinstance(camera, str) else json.dumps(dict(camera)) for camera in cameras]

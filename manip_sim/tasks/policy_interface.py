@@ -103,21 +103,21 @@ def _check_keys(content: Any, part: str, file: Path) -> None:
                              + describe_choices(key, _KNOWN[part]))
 
 
-def check_interface(expected: Mapping[str, Any], actual: Mapping[str, Any], where: str) -> None:
+def check_interface(expected: Mapping[str, Any], actual: Mapping[str, Any], source: str) -> None:
     """
     Reject a policy in episodes that have another rate, order or unit than it was made for.
 
     :param expected: of the policy, as :func:`read_interface` returns it; missing values may
         be anything, and episodes may observe more
     :param actual: of the episodes, as :func:`interface_of` returns it
-    :param where: of the former, for the message
+    :param source: of the former, for the message
     :raises ModelError: with the first difference
     """
     for name, needed, present in _values(expected, actual):
         if isinstance(needed, list) and isinstance(present, list) and len(needed) == len(present):
-            for index, (one, other) in enumerate(zip(needed, present)):
-                _compare(f'{name}, number {index}', one, other, where)
-        _compare(name, needed, present, where)
+            for index, (item, other) in enumerate(zip(needed, present)):
+                _compare(f'{name}, number {index}', item, other, source)
+        _compare(name, needed, present, source)
 
 
 def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
@@ -136,10 +136,10 @@ def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
                 yield f'{key} of {name}', needed, present.get(key)
 
 
-def _compare(name: str, needed: Any, present: Any, where: str) -> None:
+def _compare(name: str, needed: Any, present: Any, source: str) -> None:
     same = needed == present or (
         isinstance(needed, (int, float)) and isinstance(present, (int, float))
         and abs(needed - present) <= 1e-6 * abs(present))
     if not same:
-        raise ModelError(f'{where}: the policy was made for other episodes: {name}: it needs '
+        raise ModelError(f'{source}: the policy was made for other episodes: {name}: it needs '
                          f'{format_value(needed, 100)}, this is {format_value(present, 100)}')

@@ -237,7 +237,7 @@ class ShownWorld(Shown):
         newest = [(times[index], messages[index]) for times, messages in self._joints
                   if (index := int(np.searchsorted(times, now_s, 'right')) - 1) >= 0]
         # Parts have topics of their own, and some end earlier.
-        for _, message in sorted(newest, key=lambda found: float(found[0])):
+        for _, message in sorted(newest, key=lambda entry: float(entry[0])):
             kinematics.set_joints(message.name, message.position)
         for name, (times, messages) in self._bodies.items():
             if messages:
@@ -488,13 +488,13 @@ class Player:
         self._quantity = gui.add_dropdown('Plot', ('nothing',))
         self._quantity.on_update(lambda event: add(self._draw))
 
-    def _jump(self, where: str) -> None:
+    def _jump(self, destination: str) -> None:
         count = len(self._entries)
         present = self._index
-        steps = range(-1, -count, -1) if where == 'Previous' else range(1, count)
+        steps = range(-1, -count, -1) if destination == 'Previous' else range(1, count)
         for step in steps:
             entry = self._entries[(present + step) % count]
-            if where != 'Failure' or entry.success is False:
+            if destination != 'Failure' or entry.success is False:
                 self._open((present + step) % count)
                 return
 

@@ -460,47 +460,47 @@ class _Pickler(pickle.Pickler):
                         for of_model, owner in ((False, data), (True, model))
                         for name, array in _arrays(owner)]
 
-    def reducer_override(self, found: Any) -> Any:
+    def reducer_override(self, item: Any) -> Any:
         """Let copies of cached methods begin with empty caches, and views be views."""
-        if isinstance(found, functools._lru_cache_wrapper):
-            return _cached, (found.cache_parameters()['maxsize'], found.__wrapped__)
-        if not isinstance(found, np.ndarray) or (owner := owner_of(found)) is found:
+        if isinstance(item, functools._lru_cache_wrapper):
+            return _cached, (item.cache_parameters()['maxsize'], item.__wrapped__)
+        if not isinstance(item, np.ndarray) or (owner := owner_of(item)) is item:
             return NotImplemented
-        offset = found.__array_interface__['data'][0] - owner.__array_interface__['data'][0]
-        return _view, (owner, offset, found.shape, found.strides, found.dtype.str)
+        offset = item.__array_interface__['data'][0] - owner.__array_interface__['data'][0]
+        return _view, (owner, offset, item.shape, item.strides, item.dtype.str)
 
-    def persistent_id(self, found: object) -> int | None:
-        kind = type(found)
+    def persistent_id(self, item: object) -> int | None:
+        kind = type(item)
         if kind in _PLAIN or kind is pickle.PickleBuffer:
             return None
-        number = self._number_of.get(id(found))
+        number = self._number_of.get(id(item))
         if number is None:
-            outside = self._outside(found)
+            outside = self._outside(item)
             if outside is None:
                 return None
-            number = self._number_of[id(found)] = len(self.outside)
+            number = self._number_of[id(item)] = len(self.outside)
             self.outside.append(outside)
-            self._kept.append(found)
+            self._kept.append(item)
         return number
 
-    def _outside(self, found: object) -> object | None:
+    def _outside(self, item: object) -> object | None:
         """Return what stands for an object in every copy, or None if it is copied."""
-        if isinstance(found, np.ndarray):
-            if _is_foreign(found):
-                return self._find(found)
-            if owner_of(found) is not found or found.dtype.hasobject:
+        if isinstance(item, np.ndarray):
+            if _is_foreign(item):
+                return self._find(item)
+            if owner_of(item) is not item or item.dtype.hasobject:
                 return None
-            return _OwnArray(found.copy('K')) if found.flags.writeable else found
-        if found is self._model or found is self._data:
-            return _Own(found is self._model, '')
-        if isinstance(found, mujoco.MjOption):
+            return _OwnArray(item.copy('K')) if item.flags.writeable else item
+        if item is self._model or item is self._data:
+            return _Own(item is self._model, '')
+        if isinstance(item, mujoco.MjOption):
             return _Own(True, 'opt')
-        root = type(found).__module__.partition('.')[0]
-        shared = (isinstance(found, _SHARED) or root == 'mujoco'
-                  or isinstance(found, MujocoXMLModel) and not isinstance(found, GripperModel)
-                  or _is_frozen(found) and not any(
-                      isinstance(field, GripperModel) for field in vars(found).values()))
-        return found if shared else None
+        root = type(item).__module__.partition('.')[0]
+        shared = (isinstance(item, _SHARED) or root == 'mujoco'
+                  or isinstance(item, MujocoXMLModel) and not isinstance(item, GripperModel)
+                  or _is_frozen(item) and not any(
+                      isinstance(field, GripperModel) for field in vars(item).values()))
+        return item if shared else None
 
     def _find(self, view: NDArray[Any]) -> _Own:
         address = view.__array_interface__['data'][0]
@@ -516,11 +516,11 @@ def _cached(size: int, method: types.MethodType) -> Any:
     return functools.lru_cache(size)(method)
 
 
-def _arrays(found: Any) -> list[tuple[str, NDArray[Any]]]:
+def _arrays(source: Any) -> list[tuple[str, NDArray[Any]]]:
     """Return the arrays of a ``MjModel`` or a ``MjData``, by name."""
-    named = [(name, getattr(found, name)) for name in dir(found) if not name.startswith('_')]
-    if isinstance(found, mujoco.MjData):
-        named.append((_WARNINGS, found.warning.number))
+    named = [(name, getattr(source, name)) for name in dir(source) if not name.startswith('_')]
+    if isinstance(source, mujoco.MjData):
+        named.append((_WARNINGS, source.warning.number))
     return [(name, array) for name, array in named
             if isinstance(array, np.ndarray) and array.size]
 

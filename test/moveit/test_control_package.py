@@ -42,7 +42,7 @@ def package(request, tmp_path):
     assert main(['export', '--ros2-control', str(folder), '--params-file', str(given)]) == 0
     (urdf,) = folder.glob('config/*.urdf')
     return SimpleNamespace(
-        folder=folder, given=NODES[request.param], urdf=ElementTree.parse(urdf).getroot(),
+        folder=folder, parameters=NODES[request.param], urdf=ElementTree.parse(urdf).getroot(),
         controllers=yaml.safe_load((folder / 'config' / 'controllers.yaml').read_text()))
 
 

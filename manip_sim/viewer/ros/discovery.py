@@ -68,15 +68,15 @@ class Layout:
     cameras: tuple[str, ...] = ()
 
 
-def name_of(space: str, row: str, of: str = '') -> str:
+def name_of(space: str, row: str, owner: str = '') -> str:
     """
     Return the name of a topic.
 
     :param space: that it begins with, such as ``/left/``
     :param row: its name in the table, such as ``<part>/joint_command``
-    :param of: the part, arm, object or camera
+    :param owner: the part, arm, object or camera
     """
-    return space + BY_NAME[row].filled_in(of).name
+    return space + BY_NAME[row].filled_in(owner).name
 
 
 def layout_of(base: str, published: Collection[str], subscribed: Collection[str]) -> Layout:
