@@ -48,7 +48,7 @@ class Tolerances:
 
     :param joints: the joints, in order
     :param part: the joints that may be named
-    :param given: by the client
+    :param tolerances: by the client
     :param velocity: the default [rad/s or m/s]
     :raises GoalError: if a joint is not in the part, or a number is not a tolerance
     """

@@ -281,7 +281,7 @@ class RequestedRobot:
     :param values: ``robot``, a name of the catalogue, which includes the folders of
         ``model_path``, or a file; where they are not the robot's own ``gripper`` and ``base``,
         names of the catalogue; and ``name``
-    :param where: where they come from, for messages
+    :param source: where they come from, for messages
     :param files: those that a request may name
     :param folder: where relative paths begin; None: in the folders of ``spawn_roots``
     :raises ModelError: on one line, naming the key
