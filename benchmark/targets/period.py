@@ -71,7 +71,7 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
     from manip_sim.interface.profiles import JointNames
     from manip_sim.interface.topics import Scope
     from manip_sim.ros.channel_publishers import robot_states
-    from manip_sim.ros.rejection_log import RejectionLog
+    from manip_sim.ros.executor import RejectionLog
     rclpy.init()
     stack.callback(rclpy.shutdown)
     node = rclpy.create_node('period')

@@ -32,11 +32,10 @@ from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import format_value
 from manip_sim.ros.command_subscribers import CommandSubscribers, RobotCommands
-from manip_sim.ros.executor import let_clients_know
+from manip_sim.ros.executor import kind_of, let_clients_know
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext
 from manip_sim.ros.messages import (
     import_optional, nanoseconds_of, seconds_of, stamp_of, trajectory_fields)
-from manip_sim.ros.rejection_log import kind_of
 from manip_sim.runtime.action_goals import (
     ActionGoal, Ending, GoalCode, GoalError, GoalTracker, gripper_goal, GripperRequest)
 from manip_sim.runtime.trajectory_goal import JointTolerance, TrajectoryGoal, TrajectoryRequest

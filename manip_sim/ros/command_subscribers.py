@@ -32,10 +32,10 @@ from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import pluralize, quoted
 from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
+from manip_sim.ros.executor import kind_of
 from manip_sim.ros.feature import Feature, NodeContext, qos_options
 from manip_sim.ros.messages import (
     message_class, MessageReader, nanoseconds_of, numbers_of, read_command, trajectory_fields)
-from manip_sim.ros.rejection_log import kind_of
 from manip_sim.simulation import SimulatedRobot
 
 #: Number of commands of a topic that may wait.

@@ -36,8 +36,8 @@ from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.declared_parameters import Parameters
+from manip_sim.ros.executor import RejectionLog
 from manip_sim.ros.messages import message_class
-from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 

@@ -36,18 +36,16 @@ from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
-from manip_sim.ros.executor import BACKGROUND_THREAD
+from manip_sim.ros.executor import BACKGROUND_THREAD, RejectionLog
 from manip_sim.ros.feature import (
     add_offered_features, Feature, load_features, NodeContext, PublishingThread)
 from manip_sim.ros.live_parameters import LiveParameters
-from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.services import SimulationServices
 from manip_sim.ros.standard_services import StandardServices
-from manip_sim.ros.startup_log import StartupLog
 from manip_sim.ros.visualization_topics import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.world_publishers import (
     DescriptionPublisher, DynamicsPublisher, EpisodePublisher, JournalPublisher, ModelPublisher,
-    SafetyStatePublisher, TaskPublisher)
+    SafetyStatePublisher, StartupLog, TaskPublisher)
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.compiled_period import load

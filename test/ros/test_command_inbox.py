@@ -21,8 +21,8 @@ from manip_sim import rclpy_internals
 from manip_sim.ros import command_inbox
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import COMMAND_DEPTH, CommandSubscription
+from manip_sim.ros.executor import RejectionLog
 from manip_sim.ros.feature import Output
-from manip_sim.ros.rejection_log import RejectionLog
 
 COMMAND = JointState(name=['robot0_joint1'], position=[0.1])
 

@@ -17,8 +17,7 @@ from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
 from test_log import Lines
 
-from manip_sim.ros.executor import GuardedExecutor
-from manip_sim.ros.rejection_log import RejectionLog
+from manip_sim.ros.executor import GuardedExecutor, RejectionLog
 from manip_sim.viewer.ros.readers import PolledExecutor
 
 

@@ -10,7 +10,7 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from manip_sim.errors import CommandError
-from manip_sim.ros.rejection_log import kind_of, RejectionLog
+from manip_sim.ros.executor import kind_of, RejectionLog
 
 
 class Lines:

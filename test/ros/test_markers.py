@@ -11,8 +11,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros import visualization_topics
+from manip_sim.ros.executor import RejectionLog
 from manip_sim.ros.messages import nanoseconds_of
-from manip_sim.ros.rejection_log import RejectionLog
 from manip_sim.ros.visualization_topics import FORCE_SCALE, MarkerPublisher, TORQUE_SCALE
 
 WEIGHT_N = 0.1 * 9.81

@@ -11,8 +11,8 @@ import pytest
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
+from manip_sim.ros.executor import RejectionLog
 from manip_sim.ros.feature import Output
-from manip_sim.ros.rejection_log import RejectionLog
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 #: More than a publisher of Fast DDS keeps while nobody acknowledges.

@@ -15,8 +15,8 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
 from manip_sim.rclpy_internals import publish_bytes, RCLError
+from manip_sim.ros.executor import RejectionLog
 from manip_sim.ros.feature import Output, PublishingThread
-from manip_sim.ros.rejection_log import RejectionLog
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 READER = """

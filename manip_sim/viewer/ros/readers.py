@@ -20,9 +20,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ManipSimError, MessageError
 from manip_sim.quoting import pluralize, quoted
-from manip_sim.ros.executor import GuardedExecutor
+from manip_sim.ros.executor import GuardedExecutor, kind_of, RejectionLog
 from manip_sim.ros.messages import read_message, seconds_of
-from manip_sim.ros.rejection_log import kind_of, RejectionLog
 from manip_sim.viewer.page.latest import JointStates, PoseInWorld, ShownStatus
 
 #: Size of a number at most; larger ones overflow where they are multiplied or drawn.
