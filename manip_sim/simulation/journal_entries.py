@@ -31,6 +31,16 @@ from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.simulation.saved_state import check_frames, SimulationState
 from manip_sim.simulation.simulation import Simulation
 
+#: Operations that change all robots, and those that change one, whose name comes first.
+_OF_ALL_ROBOTS = {
+    'tare': SimulatedRobot.tare_wrench, 'reset_reflexes': SimulatedRobot.reset_reflexes,
+    'emergency_stop': SimulatedRobot.emergency_stop, 'recover': SimulatedRobot.recover}
+_OF_ONE_ROBOT: Mapping[str, Callable[..., object]] = {
+    'speed_scaling': SimulatedRobot.set_speed_scaling, 'mode': SimulatedRobot.set_control_mode,
+    'timeout': SimulatedRobot.set_command_timeout, 'stream_interval': SimulatedRobot.set_stream,
+    'wrench_cutoff': SimulatedRobot.set_wrench_cutoff, 'reflex': SimulatedRobot.set_reflex,
+    'set_payload': SimulatedRobot.set_payload, 'integral_gain': SimulatedRobot.set_integral_gain}
+
 
 class Operations:
     """
@@ -50,20 +60,15 @@ class Operations:
         self._spawned: dict[str, list[Any]] = {}
         self._named: Mapping[str, Callable[..., Any]] = {
             'reset': self._reset, 'save': self._save, 'restore': self._restore,
-            'tare': partial(self._each, SimulatedRobot.tare_wrench),
-            'reset_reflexes': partial(self._each, SimulatedRobot.reset_reflexes),
-            'speed_scaling': self._speed_scaling,
-            'emergency_stop': partial(self._each, SimulatedRobot.emergency_stop),
-            'recover': partial(self._each, SimulatedRobot.recover),
-            'keyframe': self._keyframe, 'mode': self._mode, 'timeout': self._timeout,
-            'stream_interval': self._stream_interval, 'stream_hold': self._stream_hold,
-            'wrench_cutoff': self._wrench_cutoff, 'sensing': self._sensing,
-            'reflex': self._reflex, 'cartesian': self._cartesian, 'law': self._law,
-            'payload': self._payload, 'set_payload': self._set_payload,
-            'integral_gain': self._integral_gain, 'place': self._place, 'fault': self._fault,
-            'direct_command': self._direct_command, 'target': self._target,
-            'pull': self._pull, 'end_pull': self._end_pull, 'answer': lambda: None,
-            'spawn': self._spawn, 'spawn_all': self._spawn_all, 'delete': self._delete}
+            **{name: partial(self._each, change) for name, change in _OF_ALL_ROBOTS.items()},
+            **{name: partial(self._one, change) for name, change in _OF_ONE_ROBOT.items()},
+            'keyframe': self._keyframe, 'stream_hold': self._stream_hold,
+            'sensing': self._sensing, 'cartesian': self._cartesian, 'law': self._law,
+            'payload': self._payload, 'place': self._place, 'fault': simulation.faults.inject,
+            'direct_command': self._direct_command, 'target': simulation.surroundings.set_target,
+            'pull': simulation.pulls.pull, 'end_pull': simulation.pulls.end,
+            'answer': lambda: None, 'spawn': self._spawn, 'spawn_all': self._spawn_all,
+            'delete': self._delete}
 
     def run(self, name: str, *arguments: Any, using: Any = None) -> Any:
         """
@@ -110,57 +115,32 @@ class Operations:
         self._begin_instant()
         return digest
 
-    def _speed_scaling(self, robot: str, scaling: float) -> None:
-        self._robot(robot).set_speed_scaling(scaling)
-
-    def _each(self, do: Callable[[SimulatedRobot], object]) -> None:
+    def _each(self, change: Callable[[SimulatedRobot], object]) -> None:
         for robot in self._simulation.robots.values():
-            do(robot)
+            change(robot)
+
+    def _one(self, change: Callable[..., object], robot: str, *arguments: Any) -> None:
+        change(self._robot(robot), *arguments)
 
     def _keyframe(self, name: str) -> None:
         self._simulation.episode_start.keyframe = name
 
-    def _mode(self, robot: str, part: str, mode: str) -> None:
-        self._robot(robot).set_control_mode(part, mode)
-
-    def _timeout(self, robot: str, part: str, timeout_s: float, ends_targets: bool) -> None:
-        self._robot(robot).set_command_timeout(part, timeout_s, ends_targets)
-
-    def _stream_interval(self, robot: str, part: str, longest_s: float) -> None:
-        self._robot(robot).set_stream(part, longest_s=longest_s)
-
     def _stream_hold(self, robot: str, part: str, hold_s: float) -> None:
         self._robot(robot).set_stream(part, hold_s=hold_s)
-
-    def _wrench_cutoff(self, robot: str, arm: str, cutoff_hz: float) -> None:
-        self._robot(robot).set_wrench_cutoff(arm, cutoff_hz)
 
     def _payload(self, robot: str, arm: str, number: str, value: Any) -> None:
         joints = self._robot(robot).joints
         joints.set_payload(arm, joints.payloads[arm].changed(number, value))
 
-    def _set_payload(self, robot: str, arm: str, mass: float, center_of_mass: ArrayLike,
-                     inertia: ArrayLike) -> None:
-        self._robot(robot).set_payload(arm, mass, center_of_mass, inertia)
-
-    def _integral_gain(self, robot: str, part: str, gain: float) -> None:
-        self._robot(robot).set_integral_gain(part, gain)
-
     def _sensing(self, robot: str, quantity: str, value: float) -> None:
         self._robot(robot).sensing.set(quantity, value)
         self._simulation.randomized.replace_parameter(robot, quantity, value)
-
-    def _reflex(self, robot: str, name: str, quantity: str, value: float | str) -> None:
-        self._robot(robot).set_reflex(name, quantity, value)
 
     def _cartesian(self, robot: str, arm: str, setting: str, value: ArrayLike | str) -> None:
         self._robot(robot).joints.cartesian.set(arm, setting, value)
 
     def _law(self, robot: str, part: str, parameter: str, value: float) -> None:
         self._robot(robot).law_parameters(part)[parameter] = value
-
-    def _fault(self, description: Mapping[str, Any]) -> None:
-        self._simulation.faults.inject(description)
 
     def _place(self, name: str, pose: list[list[float]] | None, twist: list[list[float]] | None
                ) -> None:
@@ -173,9 +153,6 @@ class Operations:
         commands = self._simulation.surroundings.commands[part]
         commands.command(commands.checked([name], **{
             kind: [value] * (kind == quantity) for kind in ('position', 'velocity', 'effort')}))
-
-    def _target(self, name: str, position: list[float], quat_xyzw: list[float]) -> None:
-        self._simulation.surroundings.set_target(name, position, quat_xyzw)
 
     def _spawn(self, name: str, text: str | None, position: list[float], quat_wxyz: list[float],
                plan: WorldPlan | None = None) -> None:
@@ -211,12 +188,6 @@ class Operations:
         missing = [item for item in wanted if len(item) > 1]
         if missing:
             self._spawn_all(missing)
-
-    def _pull(self, body: str, point: list[float], target: list[float], number: int) -> None:
-        self._simulation.pulls.pull(body, point, target, number)
-
-    def _end_pull(self, body: str) -> None:
-        self._simulation.pulls.end(body)
 
 
 def _created(name: str, text: str | None, position: list[float], quat_wxyz: list[float]
