@@ -30,6 +30,7 @@ from visualization_msgs.msg import MarkerArray
 from manip_sim.interface.world_topics import topics_of
 from manip_sim.ros import sim_node
 from manip_sim.ros.action_servers import ActionMessages, ActionServers
+from manip_sim.ros.executor import BACKGROUND_THREAD
 from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.viewer.ros.discovery import layout_of
 
@@ -70,7 +71,8 @@ def entities_of(node):
         'publishers', 'subscriptions', 'services', 'timers', 'guards', 'waitables')} | {
             'parameters': len(node._parameters), 'table': len(node.table),
             # The thread that loads the laws ends some time after the start.
-            'threads': sum(thread.name != 'laws' for thread in threading.enumerate()),
+            'threads': sum(
+                thread.name != BACKGROUND_THREAD for thread in threading.enumerate()),
             'observers': len(node.thread.observers._all),
             'group': len(node.shared.inbox.group.entities)}
 
