@@ -29,7 +29,6 @@ from manip_sim.physics.contacts import read_contacts
 from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.robot_frames import FrameTree, OdometryReader, TreeFrame
 from manip_sim.quoting import quoted
-from manip_sim.ros import messages
 from manip_sim.ros.channel_publishers import ChannelPublishers
 from manip_sim.ros.feature import create_output, Feature, NodeContext, Output
 from manip_sim.ros.messages import filled, import_optional, SerializedMessage, stamp_of, WORLD
@@ -64,7 +63,7 @@ class MarkerPublisher:
                  ) -> None:
         self._end_effectors = end_effectors
         self._output = create_output(context, BY_NAME['~/markers'])
-        self._header = Header(frame_id=context.frame_prefix + messages.WORLD)
+        self._header = Header(frame_id=context.frame_prefix + WORLD)
         self._all_gone = Marker(header=self._header, action=Marker.DELETEALL)
         self._points = self._marker('contact_points', 0, Marker.SPHERE_LIST, _ORANGE,
                                     (_POINT_M, _POINT_M, _POINT_M))
@@ -81,7 +80,7 @@ class MarkerPublisher:
         return self._output.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
-        self._header.stamp = messages.stamp_of(simulation.time_ns)
+        self._header.stamp = stamp_of(simulation.time_ns)
         markers = [self._all_gone]
         contacts = read_contacts(simulation.model, simulation.data)
         if len(contacts.position):

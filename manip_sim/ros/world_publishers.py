@@ -26,11 +26,10 @@ from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import RUNNING, SAFETY_STATES
 from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.interface.world_topics import hardware_of, STALLS
-from manip_sim.models import World
 from manip_sim.models.asset_files import LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import Hardware, TOPIC_PLUGIN, urdfs_of
-from manip_sim.models.world import inferred_by_model, skipped_geoms
+from manip_sim.models.world import inferred_by_model, skipped_geoms, World
 from manip_sim.rclpy_internals import missing_for_publishing
 from manip_sim.resources import package_version
 from manip_sim.ros.channel_publishers import InstrumentPublishers

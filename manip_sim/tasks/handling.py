@@ -17,11 +17,10 @@ from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ModelError
-from manip_sim.models.arenas import Arena, create_arena
+from manip_sim.models import Arena, create_arena, World
 from manip_sim.models.composing import compose_robot, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.object_creation import Description
-from manip_sim.models.world import World
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.simulation import SimulatedRobot, Simulation
