@@ -350,10 +350,10 @@ def _add_run(commands: Any) -> None:
                         'values make several runs, in DIR/latency_SECONDS, with one table')
     parser.add_argument('--state-latency', type=numbers, metavar='SECONDS[,...]',
                         help='age of the observed state (default: 0); several values as above')
-    for option, what in (('--latency-jitter', '--latency'),
-                         ('--state-latency-jitter', '--state-latency')):
+    for option, delay in (('--latency-jitter', '--latency'),
+                          ('--state-latency-jitter', '--state-latency')):
         parser.add_argument(option, type=number, metavar='SECONDS',
-                            help=f'standard deviation of {what}, drawn from the seed (default: '
+                            help=f'standard deviation of {delay}, drawn from the seed (default: '
                             '0)')
     parser.add_argument('--answer-time', metavar='SECONDS[,...]', help='let the policy think so '
                         'long in simulated time, with nothing commanded meanwhile; measured: as '

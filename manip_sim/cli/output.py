@@ -82,11 +82,11 @@ class ProgressBar:
     """
     A line on standard error, if that is a terminal.
 
-    :param what: is counted, such as ``episodes``
+    :param unit: is counted, such as ``episodes``
     """
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
         self._shows = sys.stderr is not None and sys.stderr.isatty()
         self._last_s = 0.0
 
@@ -94,7 +94,7 @@ class ProgressBar:
         """Show how much is done, and a text behind it."""
         if self._shows and time.monotonic() - self._last_s > _PERIOD_S:
             self._last_s = time.monotonic()
-            print(f'\r\x1b[K{done} {self._what}{more}', end='', file=sys.stderr, flush=True)
+            print(f'\r\x1b[K{done} {self._unit}{more}', end='', file=sys.stderr, flush=True)
 
     def __enter__(self) -> ProgressBar:
         return self

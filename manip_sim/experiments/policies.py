@@ -197,11 +197,11 @@ def _source(module: str, folders: Iterable[Path | str]) -> Path | None:
 
 
 @contextlib.contextmanager
-def wrap_errors(what: str, kind: type[ManipSimError]) -> Iterator[None]:
+def wrap_errors(activity: str, kind: type[ManipSimError]) -> Iterator[None]:
     """
     Let code of a user, which may raise anything, raise one error.
 
-    :param what: what it does, for the message
+    :param activity: of the block, for the message
     :param kind: of the error
     :raises ManipSimError: of that kind
     :raises KeyboardInterrupt: by Ctrl-C, unless that is ignored
@@ -219,7 +219,7 @@ def wrap_errors(what: str, kind: type[ManipSimError]) -> Iterator[None]:
             text = one_line(str(error), 200)
         except Exception:
             text = 'it has no text'
-        raise kind(f'{what}: {type(error).__name__}: {text}') from error
+        raise kind(f'{activity}: {type(error).__name__}: {text}') from error
 
 
 def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S, batched: bool = False

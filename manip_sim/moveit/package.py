@@ -55,19 +55,19 @@ install(DIRECTORY {folders} DESTINATION share/${{PROJECT_NAME}})
 """
 
 
-def build_files(package: str, what: str, dependencies: Iterable[str], folders: Iterable[str],
+def build_files(package: str, summary: str, dependencies: Iterable[str], folders: Iterable[str],
                 more: str = '') -> dict[str, str]:
     """
     Return ``package.xml`` and ``CMakeLists.txt``.
 
-    :param what: beginning of its description
+    :param summary: beginning of its description
     :param dependencies: packages that it needs when it is used
     :param folders: that are installed
     :param more: further lines of ``CMakeLists.txt``
     """
     needed = '\n'.join(f'  <exec_depend>{name}</exec_depend>' for name in dependencies)
     return {
-        'package.xml': _PACKAGE.format(package=package, what=what, dependencies=needed),
+        'package.xml': _PACKAGE.format(package=package, what=summary, dependencies=needed),
         'CMakeLists.txt': _CMAKE.format(package=package, folders=' '.join(folders), more=more)}
 
 

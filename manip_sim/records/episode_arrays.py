@@ -132,10 +132,10 @@ class Frames:
                                  for p in poses]),
                        [f'{name}/{axis}' for axis in ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')])
 
-    def _check(self, count: int, what: str, expected: int | None = None) -> None:
+    def _check(self, count: int, noun: str, expected: int | None = None) -> None:
         expected = self._count + 1 if expected is None else expected
         if count != expected:
-            raise RecordError(f'episode {self.recorded.number} has {count} messages of {what} for '
+            raise RecordError(f'episode {self.recorded.number} has {count} messages of {noun} for '
                               f'{self._count} control periods, it should have {expected}')
 
     @property

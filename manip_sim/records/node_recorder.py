@@ -258,8 +258,8 @@ def _message_class(kind: str) -> Any:
     return getattr(importlib.import_module(f'{package}.{middle}'), name)
 
 
-def _common(profiles: Sequence[QoSProfile], what: str, more: Any, less: Any) -> Any:
-    return more if profiles and all(getattr(qos, what) == more for qos in profiles) else less
+def _common(profiles: Sequence[QoSProfile], policy: str, more: Any, less: Any) -> Any:
+    return more if profiles and all(getattr(qos, policy) == more for qos in profiles) else less
 
 
 def _described(profile: QoSProfile) -> dict[str, Any]:

@@ -47,14 +47,14 @@ _MAX_DEPTH = 30
 _MAX_ITEMS = 5_000_000
 
 
-def check_name(name: str, what: str) -> str:
+def check_name(name: str, kind: str) -> str:
     """
     Return a name that is printable and not too long.
 
     :raises RecordError: if it is none
     """
     if len(name) > _MAX_NAME or not name.isprintable():
-        raise RecordError(f'damaged: {quoted(name)} cannot be the name of a {what}')
+        raise RecordError(f'damaged: {quoted(name)} cannot be the name of a {kind}')
     return name
 
 
@@ -151,12 +151,12 @@ def unpacked(chunk: Any) -> bytes:
     return data
 
 
-def image(content: bytes, what: str = 'an image') -> NDArray[np.uint8]:
+def image(content: bytes, noun: str = 'an image') -> NDArray[np.uint8]:
     """
     Return a compressed image.
 
     :param content: JPEG or PNG
-    :param what: it is, for the message
+    :param noun: it is, for the message
     :returns: rgb, shape (height, width, 3)
     :raises RecordError: if it cannot be read, or has too many pixels; they are not unpacked then
     """
@@ -174,7 +174,7 @@ def image(content: bytes, what: str = 'an image') -> NDArray[np.uint8]:
         reason = 'it is neither JPEG nor PNG'
     except Exception as error:  # The library raises whatever its operations do.
         reason = one_line(str(error))
-    raise RecordError(f'{what} cannot be read: {reason}')
+    raise RecordError(f'{noun} cannot be read: {reason}')
 
 
 def model_xml(archive: bytes) -> str:
@@ -207,15 +207,15 @@ def files_of(archive: bytes) -> dict[str, tuple[int, int]] | None:
         return None
 
 
-def finite(values: FloatArray, what: str) -> FloatArray:
+def finite(values: FloatArray, noun: str) -> FloatArray:
     """
     Return numbers, which are finite.
 
-    :param what: they are, for the message
+    :param noun: they are, for the message
     :raises RecordError: if one is not
     """
     if not np.isfinite(values).all():
-        raise RecordError(f'{what} has numbers that are not finite')
+        raise RecordError(f'{noun} has numbers that are not finite')
     return values
 
 

@@ -141,7 +141,7 @@ class Diagnostics(Feature):
             'simulation_time': f'{progress.time_ns * 1e-9:.9f}',
             'waits_for': waits_for or 'none', **warnings,
             'start_defects': '; '.join(self._simulation.start_defects) or 'none',
-            **{f'failed_{what}': n for what, n in self._context.log.failed.items()}})
+            **{f'failed_{activity}': n for activity, n in self._context.log.failed.items()}})
         if pace.loss > _TOLERATED_LOSS and not thread.paused:
             status.level = DiagnosticStatus.WARN
             status.message = (

@@ -88,15 +88,15 @@ class RejectionLog:
                 self._left_out.pop(oldest, None)
         self._logger.warning(one_line(text) + (f' ({left_out} more before)' if left_out else ''))
 
-    def failure(self, what: str, topic: str, error: Exception) -> None:
+    def failure(self, activity: str, topic: str, error: Exception) -> None:
         """
         Count an exception that nobody expected, and log it as :meth:`warn` does.
 
-        :param what: ``callbacks``, ``publications`` or ``commands``
+        :param activity: ``callbacks``, ``publications`` or ``commands``
         :param topic: topic or service that was served, or parts that were commanded
         """
         with self._lock:
-            self.failed[what] += 1
+            self.failed[activity] += 1
         self.warn(topic, kind_of(error), f'{topic}: {type(error).__name__}: {error}')
 
     def unreadable(self, topic: str) -> None:

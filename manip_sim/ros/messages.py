@@ -169,7 +169,7 @@ _MAX_JOINTS = 1000
 #: Size of the header of serialized data, which says how the data is encoded [bytes].
 
 
-def read_message(message_type: Any, data: bytes, most: int = _MAX_SIZE, what: str = 'a command',
+def read_message(message_type: Any, data: bytes, most: int = _MAX_SIZE, noun: str = 'a command',
                  error: type[ManipSimError] = MessageError) -> Any:
     """
     Return the message that was serialized.
@@ -179,7 +179,7 @@ def read_message(message_type: Any, data: bytes, most: int = _MAX_SIZE, what: st
     first.
 
     :param most: size of the data at most [bytes], but of a trajectory
-    :param what: has this size at most, for the message
+    :param noun: has this size at most, for the message
     :param error: the exception to raise
     :raises ManipSimError: that exception, if the data is too large, or not a message of this type
     """
@@ -187,7 +187,7 @@ def read_message(message_type: Any, data: bytes, most: int = _MAX_SIZE, what: st
     if trajectory:
         most = _MAX_TRAJECTORY_SIZE
     if len(data) > most:
-        raise error(f'the message has {len(data)} bytes, {what} has {most} at most')
+        raise error(f'the message has {len(data)} bytes, {noun} has {most} at most')
     try:
         if trajectory:
             _check_counts(data)

@@ -135,7 +135,7 @@ class SimNode(Node):
             self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
             {robot.name: self._lockstep_parts(scope, robot) for scope, robot in robots.items()},
             value('start_paused'),
-            lambda what, error: self.rejections.failure('commands', what, error),
+            lambda failed, error: self.rejections.failure('commands', failed, error),
             inbox if lockstep else None,
             None if self._command_thread is None else self._command_thread.take,
             None if publishing is None else publishing.flush,

@@ -329,10 +329,10 @@ class Journal:
         self._saved |= name == 'save' and not failed
         self._add('operation', name, list(arguments), failed)
 
-    def unknown(self, what: str) -> None:
+    def unknown(self, event: str) -> None:
         """Note a change that cannot be repeated; the journal has to begin again."""
         if self._write is not None:
-            self._add('unknown', what)
+            self._add('unknown', event)
             self.incomplete = True
 
     def period(self) -> None:

@@ -76,7 +76,7 @@ class SimulationThread:
         simulation.step_count = max(simulation.step_count, steps)
         self.changes = ChangeQueue(
             simulation, steps, (lockstep_parts or {}) if stepping == 'lockstep' else None,
-            waits_for_arena, report_failure or (lambda what, error: None))
+            waits_for_arena, report_failure or (lambda failed, error: None))
         self._paused = paused
         self._stopping = False
         self._lock = threading.RLock()
@@ -136,18 +136,18 @@ class SimulationThread:
                 self.observers.remove(observer)
         self.call(remove)
 
-    def change_robots(self, plan: RobotsPlan, what: str = 'a robot came or went') -> None:
+    def change_robots(self, plan: RobotsPlan, event: str = 'a robot came or went') -> None:
         """
         Change the robots; lock-step waits for no part of a robot that comes.
 
         :param plan: as for ``Simulation.change_robots``
-        :param what: for records, which cannot repeat it
+        :param event: for records, which cannot repeat it
         """
         def change() -> None:
             self._simulation.change_robots(plan)
             self.changes.commands.sync_robots()
             self.observers.refresh()
-        self.call(change, what)
+        self.call(change, event)
 
     def start(self) -> None:
         """Start the thread; it first shows the observers the present state."""

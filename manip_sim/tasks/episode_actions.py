@@ -132,15 +132,15 @@ class Actions(ABC):
         """Lowest and highest value of each number, shape (size, 2)."""
         return np.tile([-1.0, 1.0], (self.size, 1))
 
-    def checked(self, action: ArrayLike, what: str = 'an action') -> FloatArray:
+    def checked(self, action: ArrayLike, noun: str = 'an action') -> FloatArray:
         """
         Return an action as numbers, a copy.
 
         :param action: shape (size,)
-        :param what: it is, for the message
+        :param noun: it is, for the message
         :raises CommandError: if the length is wrong or a number is not finite
         """
-        return finite_command_numbers(action, self.size, what)
+        return finite_command_numbers(action, self.size, noun)
 
     def apply(self, action: FloatArray, period_s: float, delay_steps: int = 0) -> None:
         """

@@ -89,10 +89,10 @@ NO_ANSWER_TIME = AnswerTime()
 AnswerTimeLike = Union[AnswerTime, float, str, Mapping[str, Any]]
 
 
-def _seconds(value: Any, what: str) -> float:
+def _seconds(value: Any, noun: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not (
             0.0 <= value <= LONGEST_S):  # NaN is not either.
-        raise ModelError(f'{what} from 0 to {LONGEST_S:g} s, got {format_value(value)}')
+        raise ModelError(f'{noun} from 0 to {LONGEST_S:g} s, got {format_value(value)}')
     return float(value)
 
 

@@ -96,7 +96,7 @@ NO_LATENCY = Latency()
 LatencyLike = Union[Latency, float, Mapping[str, float]]
 
 
-def number_of_parts(duration_s: float, part_s: float, what: str, parts: str) -> int:
+def number_of_parts(duration_s: float, part_s: float, noun: str, parts: str) -> int:
     """
     Return the number of parts in a duration.
 
@@ -106,6 +106,6 @@ def number_of_parts(duration_s: float, part_s: float, what: str, parts: str) -> 
     if not math.isfinite(count) or abs(count - round(count)) > ROUNDING:
         near = ' or '.join(f'{n * part_s:.9g}' for n in (
             math.floor(count), math.floor(count) + 1)) if math.isfinite(count) else ''
-        raise ModelError(f'{what} must be a whole number of {parts} of {part_s:.9g} s, got '
+        raise ModelError(f'{noun} must be a whole number of {parts} of {part_s:.9g} s, got '
                          f'{duration_s:g} s' + (f'; the nearest are {near} s' if near else ''))
     return round(count)

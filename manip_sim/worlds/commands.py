@@ -92,8 +92,8 @@ class RowByRow:
                 raise CommandError(f'world {world}: {error}') from error
         return made
 
-    def _rows(self, values: ArrayLike, what: str) -> FloatArray:
-        return as_batch(values, len(self._robots), what)
+    def _rows(self, values: ArrayLike, noun: str) -> FloatArray:
+        return as_batch(values, len(self._robots), noun)
 
     def _act(self, part: str, numbers: FloatArray, mask: BoolArray, period_s: float | None,
              parse: Callable[[SimulatedRobot, FloatArray], Command],
@@ -511,16 +511,16 @@ def world_mask(where: ArrayLike | None, count: int) -> BoolArray:
     return mask
 
 
-def as_batch(values: ArrayLike, count: int, what: str) -> FloatArray:
+def as_batch(values: ArrayLike, count: int, noun: str) -> FloatArray:
     """
     Return numbers with a leading axis of worlds.
 
-    :param what: noun for them, for the message
+    :param noun: noun for them, for the message
     :returns: shape (count, ...), a copy
     :raises CommandError: if they are not numbers, or not one row for each world
     """
-    numbers = command_numbers(values, what)
+    numbers = command_numbers(values, noun)
     if numbers.ndim == 0 or len(numbers) != count:
-        raise CommandError(f'{what} must have a leading axis of {count}, one row for each world, '
+        raise CommandError(f'{noun} must have a leading axis of {count}, one row for each world, '
                            f'got the shape {numbers.shape}')
     return numbers

@@ -95,9 +95,9 @@ class Robot:
     end_effectors: tuple[str, ...]
     twist: tuple[float, float, float] | None = None
 
-    def titled(self, what: str) -> str:
+    def titled(self, text: str) -> str:
         """Return the name of something of this robot, for people."""
-        return plain(f'{self.title}: {what}' if self.title else what)
+        return plain(f'{self.title}: {text}' if self.title else text)
 
     def status_name(self, part: str) -> str:
         """Return the name of the diagnostics of a part."""

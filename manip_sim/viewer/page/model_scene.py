@@ -337,31 +337,31 @@ class Overlays:
     def clear(self) -> None:
         self.show(_NOTHING, {})
 
-    def _show(self, what: str, numbers: FloatArray) -> None:
-        before, handle = self._shown.pop(what, (_NOTHING, None))
+    def _show(self, kind: str, numbers: FloatArray) -> None:
+        before, handle = self._shown.pop(kind, (_NOTHING, None))
         alike = before.shape == numbers.shape
         # The number of points of a cloud may change, that of arrows may not.
-        if handle is not None and (not len(numbers) or what != _CONTACTS and not alike):
+        if handle is not None and (not len(numbers) or kind != _CONTACTS and not alike):
             handle.remove()
             handle = None
         if not len(numbers):
             return
         if handle is None:
-            handle = self._add(what, numbers)
+            handle = self._add(kind, numbers)
         elif alike and np.allclose(before, numbers, rtol=0.0, atol=_SAME_ARROW_M):
             numbers = before
         else:
             handle.points = numbers.astype(np.float32)
-        self._shown[what] = numbers, handle
+        self._shown[kind] = numbers, handle
 
-    def _add(self, what: str, numbers: FloatArray) -> Any:
-        name = f'/overlays/{what}'
-        if what == _CONTACTS:
+    def _add(self, kind: str, numbers: FloatArray) -> Any:
+        name = f'/overlays/{kind}'
+        if kind == _CONTACTS:
             return self._scene.add_point_cloud(
                 name, numbers.astype(np.float32), _POINT, point_size=0.012,
                 point_shape='circle', precision='float32')
         return self._scene.add_arrows(
-            name, numbers, _COLORS[what], shaft_radius=_SHAFT_M, head_radius=_HEAD_M,
+            name, numbers, _COLORS[kind], shaft_radius=_SHAFT_M, head_radius=_HEAD_M,
             head_length=_HEAD_LENGTH_M)
 
 

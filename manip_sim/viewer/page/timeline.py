@@ -118,25 +118,25 @@ class PlotPanel:
                 for plot, columns in self._plots:
                     plot.data = (times, *np.ascontiguousarray(rows[:, columns].T))
 
-    def _record(self, robot: Robot, what: ShownPart | str, latest: Latest) -> None:
+    def _record(self, robot: Robot, source: ShownPart | str, latest: Latest) -> None:
         states = latest.joints.get(robot.space)
         if states is None:
             return
-        if isinstance(what, ShownPart):
-            row = _row(states, what)
+        if isinstance(source, ShownPart):
+            row = _row(states, source)
             if row is not None:
                 self._history.add(states.time_s, row)
-        elif (robot.space, what) in latest.wrenches:
-            self._history.add(states.time_s, latest.wrenches[robot.space, what])
+        elif (robot.space, source) in latest.wrenches:
+            self._history.add(states.time_s, latest.wrenches[robot.space, source])
 
-    def _rebuild(self, what: ShownPart | str) -> None:
+    def _rebuild(self, source: ShownPart | str) -> None:
         for plot, _ in self._plots:
             plot.remove()
         self._plots = []
-        if isinstance(what, ShownPart):
-            labels = [joint.label for joint in what.joints]
+        if isinstance(source, ShownPart):
+            labels = [joint.label for joint in source.joints]
             units = {(joint.unit('position'), joint.unit('velocity'), joint.unit('effort'))
-                     for joint in what.joints}
+                     for joint in source.joints}
             plots = list(zip(('position', 'velocity', 'effort'), zip(*sorted(units))))
         else:
             labels = ['x', 'y', 'z']

@@ -33,17 +33,17 @@ _LEAST_NORM = 1e-3
 _CONTACTS = 'contact_points'
 
 
-def numbers(values: Any, what: str) -> FloatArray:
+def numbers(values: Any, noun: str) -> FloatArray:
     """
     Return numbers as an array.
 
-    :param what: they are, for the message
+    :param noun: they are, for the message
     :raises MessageError: if one is not finite, or too large to be drawn
     """
     array = np.asarray(values, dtype=float)
     bad = array[~(np.abs(array) <= _LARGEST)]
     if bad.size:
-        raise MessageError(f'{what}: {bad.flat[0]:g} cannot be drawn')
+        raise MessageError(f'{noun}: {bad.flat[0]:g} cannot be drawn')
     return array
 
 
