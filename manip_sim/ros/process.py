@@ -22,6 +22,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from manip_sim.control.law.kept import all_are_kept
 from manip_sim.errors import ManipSimError, ParameterError
 from manip_sim.models import untrusted_models
+from manip_sim.rclpy_internals import import_type_supports
 from manip_sim.ros.arguments import for_other_nodes, start_ros
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.executor import BACKGROUND_THREAD, begin, GuardedExecutor
@@ -46,6 +47,7 @@ def run(arguments: Sequence[str]) -> int:
     sys.setswitchinterval(_SWITCH_S)
     # rclpy warns of a node that could not be created, in addition to the error.
     warnings.filterwarnings('ignore', 'Failed to fini', RuntimeWarning)
+    import_type_supports()
     try:
         start_ros(arguments)
         code = _serve(asked_to_end, arguments)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 import json
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -36,7 +36,9 @@ from manip_sim.ros.channel_publishers import InstrumentPublishers
 from manip_sim.ros.feature import create_output, create_publisher, Feature, NodeContext
 from manip_sim.ros.messages import missing_note
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.tasks import start, Task
+
+if TYPE_CHECKING:
+    from manip_sim.tasks import Task
 
 
 class DynamicsPublisher(Feature):
@@ -250,6 +252,7 @@ class TaskPublisher(Feature):
 
     def restart(self, seed: int | None) -> None:
         """Begin the episode of a seed, or the same one again."""
+        from manip_sim.tasks import start  # It takes a while, and most nodes have no task.
         start(self._task, self._simulation, self.seed if seed is None else seed)
 
     @property

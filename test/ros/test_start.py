@@ -149,11 +149,22 @@ def test_compiled_laws_that_cannot_be_kept_are_one_line(monkeypatch):
         sim_node._load_laws()
 
 
-def test_a_start_does_not_import_what_only_files_of_users_or_commands_need():
-    script = ("import sys; import manip_sim.ros.process; print(sorted("
-              "{'numba', 'pydantic', 'manip_sim.models.files'} & sys.modules.keys()))")
+def test_a_start_does_not_import_what_only_files_of_users_tasks_or_commands_need():
+    script = ("import sys; import manip_sim.ros.process; print(sorted({'numba', 'pydantic', "
+              "'manip_sim.models.files', 'manip_sim.tasks'} & sys.modules.keys()))")
     assert subprocess.run([sys.executable, '-c', script], capture_output=True, text=True,
                           timeout=300.0, check=True).stdout == '[]\n'
+
+
+def test_a_node_imports_the_c_code_of_messages_without_the_generator_of_their_python_code():
+    ended = subprocess.run(
+        [sys.executable, '-X', 'importtime', '-m', 'manip_sim', '--ros-args', '-p',
+         'robot:=Pander'],
+        capture_output=True, text=True, timeout=300.0, check=False)
+    assert "'Pander'" in ended.stderr
+    imported = {line.rpartition('|')[2].strip() for line in ended.stderr.splitlines()}
+    assert 'rosidl_generator_py.import_type_support_impl' in imported
+    assert 'lark' not in imported
 
 
 @pytest.mark.parametrize('stepping', ['realtime', 'free', 'lockstep'])

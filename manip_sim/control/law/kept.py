@@ -17,6 +17,8 @@ import platform
 import shutil
 import tempfile
 
+import mujoco
+
 from manip_sim.resources import cache_folder
 
 #: So many folders of other versions stay, those used last.
@@ -32,7 +34,7 @@ _TAKES_LOCATORS = (0, 62)
 def _version() -> str:
     """Return a name for the versions of everything that the compiled code depends on."""
     content = hashlib.sha256()
-    for word in (_version_of_numba(), version('mujoco'), platform.python_version(), _processor(),
+    for word in (_version_of_numba(), mujoco.__version__, platform.python_version(), _processor(),
                  # An older numba finds what it has kept by the path of the source.
                  '' if takes_locators() else str(Path(__file__).parent)):
         content.update(f'{word}\n'.encode())
