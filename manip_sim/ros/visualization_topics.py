@@ -5,13 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Any
+from functools import lru_cache, partial
+import itertools
+from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose as PoseMessage, TransformStamped
+from geometry_msgs.msg import Point
+from geometry_msgs.msg import Pose as PoseMessage
+from geometry_msgs.msg import TransformStamped, Vector3
 import numpy as np
 from rclpy.node import Node
 from shape_msgs.msg import Mesh, MeshTriangle, SolidPrimitive
@@ -45,8 +49,11 @@ TORQUE_SCALE = 0.1
 _POINT_M, _SHAFT_M, _HEAD_M = 0.008, 0.006, 0.012
 #: Shorter arrows are left out, as their direction cannot be seen [m].
 _SHORTEST_M = 1e-6
+#: So many messages with other markers are kept.
+_MOST_MESSAGES = 32
 _ORANGE, _YELLOW = (1.0, 0.55, 0.0), (1.0, 0.9, 0.1)
 _RED, _BLUE = (0.9, 0.15, 0.15), (0.25, 0.45, 1.0)
+_OPAQUE = 0.9
 
 
 class MarkerPublisher:
@@ -63,62 +70,80 @@ class MarkerPublisher:
                  ) -> None:
         self._end_effectors = end_effectors
         self._output = create_output(context, BY_NAME['~/markers'])
-        self._header = Header(frame_id=context.frame_prefix + WORLD)
-        self._all_gone = Marker(header=self._header, action=Marker.DELETEALL)
-        self._points = self._marker('contact_points', 0, Marker.SPHERE_LIST, _ORANGE,
-                                    (_POINT_M, _POINT_M, _POINT_M))
-        self._arrows: dict[tuple[str, int], Marker] = {}
+        self._frame = context.frame_prefix + WORLD
+        #: Those with the same markers as messages before, which differ in numbers only.
+        self._messages = lru_cache(_MOST_MESSAGES)(self._message)
 
-    def _marker(self, namespace: str, number: int, kind: int, color: tuple[float, ...],
-                scale: tuple[float, ...]) -> Marker:
-        marker = Marker(header=self._header, ns=namespace, id=number, type=kind,
-                        color=ColorRGBA(r=color[0], g=color[1], b=color[2], a=0.9))
-        marker.scale.x, marker.scale.y, marker.scale.z = scale
-        return marker
+    def _message(self, points: int, arrows: tuple[_Arrows, ...]) -> SerializedMessage:
+        return SerializedMessage(partial(_markers, self._frame, points, arrows),
+                                 3 * points + 6 * len(arrows))
 
     def look(self) -> bool:
         return self._output.has_subscribers
 
     def publish(self, simulation: Simulation) -> None:
-        self._header.stamp = stamp_of(simulation.time_ns)
-        markers = [self._all_gone]
-        contacts = read_contacts(simulation.model, simulation.data)
-        if len(contacts.position):
-            self._points.points = [_point(at) for at in contacts.position]
-            markers.append(self._points)
-        markers += self._arrows_of('contact_forces', _YELLOW, contacts.position,
-                                   FORCE_SCALE * contacts.force)
+        data, contacts = simulation.data, read_contacts(simulation.model, simulation.data)
+        points = len(contacts.position)
+        arrows, starts = [_CONTACT_FORCES] * points, [*contacts.position]
+        vectors = [*(FORCE_SCALE * contacts.force)]
         for name, reader in self._end_effectors.items():
-            markers += self._wrench(simulation.data, name, reader)
-        self._output.publish(MarkerArray(markers=markers))
-
-    def _wrench(self, data: Any, name: str, reader: EndEffectorReader) -> list[Marker]:
-        site = data.site(reader.ft_frame)
-        wrench, to_world = reader.read(data).external_wrench, site.xmat.reshape(3, 3)
-        return [marker for quantity, color, vector in (
-            ('force', _RED, FORCE_SCALE * wrench.force),
-            ('torque', _BLUE, TORQUE_SCALE * wrench.torque))
-            for marker in self._arrows_of(f'{name}/external_{quantity}', color, [site.xpos],
-                                          [to_world @ vector])]
-
-    def _arrows_of(self, namespace: str, color: tuple[float, ...],
-                   starts: Iterable[FloatArray], vectors: Iterable[FloatArray]) -> list[Marker]:
-        markers: list[Marker] = []
-        for start, vector in zip(starts, vectors):
-            if not np.linalg.norm(vector) > _SHORTEST_M:
-                continue
-            key = namespace, len(markers)
-            if key not in self._arrows:
-                self._arrows[key] = self._marker(*key, Marker.ARROW, color,
-                                                 (_SHAFT_M, _HEAD_M, 0.0))
-            self._arrows[key].points = [_point(start), _point(start + vector)]
-            markers.append(self._arrows[key])
-        return markers
+            site, wrench = data.site(reader.ft_frame), reader.external_wrench(data)
+            to_world = site.xmat.reshape(3, 3)
+            arrows += [_Arrows(f'{name}/external_force', _RED),
+                       _Arrows(f'{name}/external_torque', _BLUE)]
+            starts += [site.xpos] * 2
+            vectors += [to_world @ (FORCE_SCALE * wrench[:3]),
+                        to_world @ (TORQUE_SCALE * wrench[3:])]
+        lines = np.array([starts, vectors]).reshape(2, -1, 3)
+        shown = np.linalg.norm(lines[1], axis=1) > _SHORTEST_M
+        lines[1] += lines[0]
+        self._output.publish(
+            self._messages(points, tuple(itertools.compress(arrows, shown))).at(
+                simulation.time_ns, np.concatenate(
+                    [contacts.position.ravel(), lines[:, shown].swapaxes(0, 1).ravel()])))
 
 
-def _point(position: FloatArray) -> Point:
-    x, y, z = position.tolist()
-    return Point(x=x, y=y, z=z)
+class _Arrows(NamedTuple):
+    """Arrows of one kind: their namespace and colour."""
+
+    namespace: str
+    color: tuple[float, ...]
+
+
+_CONTACT_FORCES = _Arrows('contact_forces', _YELLOW)
+
+
+def _markers(frame: str, points: int, arrows: Sequence[_Arrows], stamp: Time, numbers: FloatArray
+             ) -> MarkerArray:
+    """
+    Return a message that replaces all markers.
+
+    :param points: of contacts
+    :param arrows: the kind of each arrow
+    :param numbers: positions of points, then begin and end of each arrow [m], shape
+        (3 points + 6 arrows,)
+    """
+    header = Header(frame_id=frame, stamp=stamp)
+    rest = iter([Point(x=x, y=y, z=z) for x, y, z in numbers.reshape(-1, 3).tolist()])
+
+    def marker(namespace: str, number: int, kind: int, color: tuple[float, ...],
+               scale: tuple[float, ...], count: int) -> Marker:
+        # As a reader gets them, in single precision, or SerializedMessage finds a difference.
+        red, green, blue, alpha = np.array([*color, _OPAQUE], np.float32).tolist()
+        return Marker(header=header, ns=namespace, id=number, type=kind,
+                      scale=Vector3(x=scale[0], y=scale[1], z=scale[2]),
+                      color=ColorRGBA(r=red, g=green, b=blue, a=alpha),
+                      points=[*itertools.islice(rest, count)])
+    markers = [Marker(header=header, action=Marker.DELETEALL)]
+    if points:
+        markers.append(marker('contact_points', 0, Marker.SPHERE_LIST, _ORANGE,
+                              (_POINT_M, _POINT_M, _POINT_M), points))
+    ids: Counter[str] = Counter()
+    for namespace, color in arrows:
+        markers.append(marker(namespace, ids[namespace], Marker.ARROW, color,
+                              (_SHAFT_M, _HEAD_M, 0.0), 2))
+        ids[namespace] += 1
+    return MarkerArray(markers=markers)
 
 
 TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)

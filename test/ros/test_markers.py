@@ -89,18 +89,44 @@ def test_a_newton_is_a_centimetre_and_a_newton_metre_a_decimetre():
     assert (FORCE_SCALE, TORQUE_SCALE) == (0.01, 0.1)
 
 
-def test_a_force_of_no_direction_has_no_arrow_and_leaves_those_of_others(client, monkeypatch):
-    positions, forces = np.eye(3), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-    monkeypatch.setattr(visualization_topics, 'read_contacts',
-                        lambda *_: SimpleNamespace(position=positions, force=forces))
+@pytest.fixture
+def markers_of(client, monkeypatch):
+    """Return a function that returns the message of contacts at a time."""
     node = client.node
     publisher = MarkerPublisher(SimpleNamespace(
         node=node, log=RejectionLog(node.get_logger()), inbox=None, publishing=None,
         frame_prefix='', is_built=False), {})
     received = client.listen(MarkerArray, 'client/markers')
     client.spin_until(publisher.look)
-    publisher.publish(SimpleNamespace(time_ns=0, model=None, data=None))
-    client.spin_until(lambda: bool(received))
-    starts, vectors = arrows(received[0], 'contact_forces')
+    kinds = visualization_topics._Arrows('a', (0.1, 0.2, 0.3)), visualization_topics._CONTACT_FORCES
+    assert publisher._messages(2, kinds).patches
+
+    def publish(positions, forces, time_ns=0):
+        monkeypatch.setattr(visualization_topics, 'read_contacts',
+                            lambda *_: SimpleNamespace(position=positions, force=forces))
+        received.clear()
+        publisher.publish(SimpleNamespace(time_ns=time_ns, model=None, data=None))
+        client.spin_until(lambda: bool(received))
+        return received[0]
+    return publish
+
+
+def test_a_force_of_no_direction_has_no_arrow_and_leaves_those_of_others(markers_of):
+    positions, forces = np.eye(3), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    starts, vectors = arrows(markers_of(positions, forces), 'contact_forces')
     np.testing.assert_allclose(starts, positions[[0, 2]])
     np.testing.assert_allclose(vectors, FORCE_SCALE * forces[[0, 2]])
+
+
+def test_messages_with_as_many_markers_as_one_before_have_stamps_and_numbers_of_their_own(
+        markers_of):
+    random = np.random.default_rng(0)
+    for number, count in enumerate((3, 3, 0, 1, 3, 0, 1)):
+        positions, forces = random.normal(size=(2, count, 3))
+        array = markers_of(positions, forces, 10**9 * number + 7)
+        starts, vectors = arrows(array, 'contact_forces')
+        np.testing.assert_allclose(starts, positions)
+        np.testing.assert_allclose(vectors, FORCE_SCALE * forces, atol=1e-12)
+        points = [point(p) for m in array.markers if m.ns == 'contact_points' for p in m.points]
+        np.testing.assert_array_equal(np.reshape(points, (-1, 3)), positions)
+        assert {nanoseconds_of(m.header.stamp) for m in array.markers} == {10**9 * number + 7}
