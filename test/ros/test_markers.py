@@ -98,8 +98,8 @@ def markers_of(client, monkeypatch):
         frame_prefix='', is_built=False), {})
     received = client.listen(MarkerArray, 'client/markers')
     client.spin_until(publisher.look)
-    kinds = visualization_topics._Arrows('a', (0.1, 0.2, 0.3)), visualization_topics._CONTACT_FORCES
-    assert publisher._messages(2, kinds).patches
+    forces = visualization_topics._CONTACT_FORCES
+    assert publisher._messages(2, (forces, forces._replace(namespace='a'))).patches
 
     def publish(positions, forces, time_ns=0):
         monkeypatch.setattr(visualization_topics, 'read_contacts',
