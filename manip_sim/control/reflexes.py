@@ -41,6 +41,8 @@ SAFETY_STATES = RUNNING, PROTECTIVE_STOP, RECOVERING, EMERGENCY_STOP = (
     'running', 'protective_stop', 'recovering', 'emergency_stop')
 #: Reason of a stop of all parts.
 _EMERGENCY = 'emergency stop'
+#: Why a robot that recovers takes no commands yet.
+_RECOVERS = 'the robot recovers: its joints have yet to come to rest'
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 #: Words for thresholds: there are none, or those that every robot has.
 OFF, DEFAULT = 'none', 'default'
@@ -402,7 +404,7 @@ class Reflexes:
         if self.is_emergency:
             return 'the robot is in emergency stop; call recover'
         if self.is_recovering:
-            return 'the robot recovers: its joints have yet to come to rest'
+            return _RECOVERS
         if not self.tripped:
             return None
         stopped = [part for part in self.tripped if part in command.parts]
@@ -424,10 +426,12 @@ class Reflexes:
         """
         Let all parts take commands again, and laws of users begin anew.
 
-        :raises CommandError: in emergency stop
+        :raises CommandError: in emergency stop, and until a robot that recovers rests
         """
         if self.is_emergency:
             raise CommandError('the robot is in emergency stop: call recover')
+        if self.is_recovering:
+            raise CommandError(_RECOVERS)
         self.clear()
 
     def clear(self) -> None:

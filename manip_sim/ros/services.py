@@ -73,13 +73,14 @@ class PayloadServices:
         name, arm = (values.get(key) for key in _ARM)
         if name is not None and name not in robots:
             raise UnknownNameError('robot', str(name), robots)
-        arms = [(robot, side) for robot in robots if name in (None, robot)
-                for side in robots[robot].end_effectors if arm in (None, side)]
+        known = [(robot, side) for robot in robots if name in (None, robot)
+                 for side in robots[robot].end_effectors]
+        arms = [(robot, side) for robot, side in known if arm in (None, side)]
         if len(arms) == 1:
             return arms[0]
         if not arms:
-            raise UnknownNameError('arm with a gripper', str(arm), dict.fromkeys(
-                side for robot in robots.values() for side in robot.end_effectors))
+            raise UnknownNameError(
+                'arm with a gripper', str(arm), dict.fromkeys(side for _, side in known))
         raise CommandError("name the 'arm', and where several robots have it the 'robot': there "
                            f"are {', '.join(f'{side} of {robot}' for robot, side in arms)}")
 

@@ -569,7 +569,7 @@ class SimulatedRobot:
         """
         Let parts that a reflex has stopped take commands again.
 
-        :raises CommandError: in emergency stop
+        :raises CommandError: in emergency stop, and until a robot that recovers rests
         """
         self._physics.interrupt()
         self.reflexes.reset()

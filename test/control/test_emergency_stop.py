@@ -61,6 +61,8 @@ def test_a_robot_that_recovers_takes_commands_when_its_joints_rest(panda_sim):
     robot.recover()
     assert robot.safety_state == 'recovering'
     assert move(robot, 0.0).status is Status.ABORTED
+    with pytest.raises(CommandError, match='yet to come to rest'):
+        robot.reset_reflexes()
     for _ in range(200):
         panda_sim.advance(5)
         if robot.safety_state == 'running':

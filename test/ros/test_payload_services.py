@@ -70,3 +70,12 @@ def test_payloads_of_a_node_are_declared_told_and_estimated(serve, client):
     node.thread.pause(True)
     success, message = ask('estimate_payload')
     assert not success and 'is paused' in message
+
+
+def test_an_arm_that_only_another_robot_has_is_no_suggestion(serve, client):
+    serve(robots=['two', 'one'], two__robot='Baxter', one__robot='UR5e',
+          one__position=[2.0, 0.0, 0.0])
+    answer = client.call(AddDiagnostics, '/manip_sim/set_payload', AddDiagnostics.Request(
+        load_namespace='{robot: one, arm: left, mass: 1.0}'))
+    assert not answer.success
+    assert answer.message == "unknown arm with a gripper 'left': available: right"
