@@ -428,11 +428,19 @@ class Reflexes:
 
         :raises CommandError: in emergency stop, and until a robot that recovers rests
         """
+        self.check_reset()
+        self.clear()
+
+    def check_reset(self) -> None:
+        """
+        Check that :meth:`reset` is possible.
+
+        :raises CommandError: in emergency stop, and until a robot that recovers rests
+        """
         if self.is_emergency:
             raise CommandError('the robot is in emergency stop: call recover')
         if self.is_recovering:
             raise CommandError(_RECOVERS)
-        self.clear()
 
     def clear(self) -> None:
         """Run again, as after a reset of the simulation."""

@@ -33,8 +33,8 @@ from manip_sim.simulation.simulation import Simulation
 
 #: Operations that change all robots, and those that change one, whose name comes first.
 _OF_ALL_ROBOTS = {
-    'tare': SimulatedRobot.tare_wrench, 'reset_reflexes': SimulatedRobot.reset_reflexes,
-    'emergency_stop': SimulatedRobot.emergency_stop, 'recover': SimulatedRobot.recover}
+    'tare': SimulatedRobot.tare_wrench, 'emergency_stop': SimulatedRobot.emergency_stop,
+    'recover': SimulatedRobot.recover}
 _OF_ONE_ROBOT: Mapping[str, Callable[..., object]] = {
     'speed_scaling': SimulatedRobot.set_speed_scaling, 'mode': SimulatedRobot.set_control_mode,
     'timeout': SimulatedRobot.set_command_timeout, 'stream_interval': SimulatedRobot.set_stream,
@@ -62,8 +62,9 @@ class Operations:
             'reset': self._reset, 'save': self._save, 'restore': self._restore,
             **{name: partial(self._each, change) for name, change in _OF_ALL_ROBOTS.items()},
             **{name: partial(self._one, change) for name, change in _OF_ONE_ROBOT.items()},
-            'keyframe': self._keyframe, 'stream_hold': self._stream_hold,
-            'sensing': self._sensing, 'cartesian': self._cartesian, 'law': self._law,
+            'reset_reflexes': self._reset_reflexes, 'keyframe': self._keyframe,
+            'stream_hold': self._stream_hold, 'sensing': self._sensing,
+            'cartesian': self._cartesian, 'law': self._law,
             'payload': self._payload, 'place': self._place, 'fault': simulation.faults.inject,
             'direct_command': self._direct_command, 'target': simulation.surroundings.set_target,
             'pull': simulation.pulls.pull, 'end_pull': simulation.pulls.end,
@@ -121,6 +122,11 @@ class Operations:
 
     def _one(self, change: Callable[..., object], robot: str, *arguments: Any) -> None:
         change(self._robot(robot), *arguments)
+
+    def _reset_reflexes(self) -> None:
+        for robot in self._simulation.robots.values():
+            robot.reflexes.check_reset()
+        self._each(SimulatedRobot.reset_reflexes)
 
     def _keyframe(self, name: str) -> None:
         self._simulation.episode_start.keyframe = name

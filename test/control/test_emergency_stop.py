@@ -9,8 +9,11 @@ import pytest
 from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError
 from manip_sim.models import compose
+from manip_sim.models.composing import compose_robot
 from manip_sim.models.robots import robot_names
+from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
+from manip_sim.simulation.operations import Operations
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 
@@ -72,6 +75,29 @@ def test_a_robot_that_recovers_takes_commands_when_its_joints_rest(panda_sim):
     for _ in range(500):
         panda_sim.advance(5)
     assert abs(robot.state().position[0]) < 1e-3
+
+
+def test_a_reset_of_reflexes_is_for_all_robots_or_for_none():
+    """One of two robots recovers, so the reflex that has stopped the other one stays."""
+    models = [compose_robot('UR5e', idn=1), compose_robot('Panda', idn=0)]
+    models[0].set_base_xpos([2.0, 0.0, 0.0])
+    simulation = Simulation(World(models))
+    stopped, moving = simulation.robots.values()
+    move(moving, 1.5)
+    simulation.advance(200)
+    moving.emergency_stop()
+    moving.recover()
+    stopped.set_reflex('arm', 'effort', 1e-6)
+    simulation.advance(5)
+    simulation.advance(5)
+    assert [robot.safety_state for robot in (moving, stopped)] == ['recovering', 'protective_stop']
+    with pytest.raises(CommandError, match='yet to come to rest'):
+        Operations(simulation, 5).run('reset_reflexes')
+    assert stopped.safety_state == 'protective_stop'
+    for _ in range(100):
+        simulation.advance(5)
+    Operations(simulation, 5).run('reset_reflexes')
+    assert {robot.safety_state for robot in (moving, stopped)} == {'running'}
 
 
 def test_recovery_at_rest_is_at_once_and_twice_is_as_once(panda_sim):
