@@ -266,13 +266,13 @@ class Parameters:
 
     @property
     def values(self) -> dict[str, Any]:
-        """The present values of all declared parameters, by name, as YAML or JSON has them."""
-        present = {name: self.value(name) for name in self._specs}
-        return {name: value if isinstance(value, (str, bool, int, float)) else list(value)
-                for name, value in present.items()}
+        """The present values of all declared parameters, by name, as of :meth:`value`."""
+        return {name: self.value(name) for name in self._specs}
 
     def value(self, name: str) -> Any:
-        return self._node.get_parameter(name).value
+        """Return the present value of a parameter, as YAML or JSON has it."""
+        value = self._node.get_parameter(name).value
+        return value if isinstance(value, (str, bool, int, float)) else list(value)
 
     def _as_declared(self, parameter: Parameter) -> Parameter:
         spec = self._specs.get(parameter.name)

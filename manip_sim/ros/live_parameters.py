@@ -105,9 +105,9 @@ class LiveParameters(Feature):
         return lambda _: change(value_of(timeout), not value_of(follows))
 
     def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
-        for parameter in parameters:
-            if parameter.name in self._uses:
-                self._context.thread.call(partial(self._uses[parameter.name], parameter.value))
+        for name in [parameter.name for parameter in parameters if parameter.name in self._uses]:
+            self._context.thread.call(
+                partial(self._uses[name], self._context.parameters.value(name)))
         if not self._context.parameters.showing:
             self._begin_laws()
 

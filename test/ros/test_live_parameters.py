@@ -4,11 +4,14 @@
 """Of every live parameter, get, dump and what acts agree, whatever has changed it."""
 
 from functools import partial
+import json
 
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from spawning_node import ask, SpawningByParameters
+from std_msgs.msg import String
 
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import GivenParameters
@@ -110,6 +113,24 @@ def test_a_posture_of_the_null_space_acts_and_one_out_of_range_is_rejected(serve
     assert node.declared.value('null_space_posture.right').startswith('0.1, 0.1')
     set_live(node, null_space_posture__right='initial')
     assert_agree(node)
+
+
+def test_numbers_that_came_over_ros_are_in_the_journal(serve, client):
+    node, texts = serve(stepping='free'), []
+    client.node.create_subscription(
+        String, 'manip_sim/journal', lambda message: texts.append(message.data), 100)
+    client.spin_until(lambda: texts)
+    values = {name: another(spec, 0) for name, spec in live(node).items() if spec.length}
+    assert values
+    for name, value in values.items():
+        (result,) = client.call(SetParameters, 'manip_sim/set_parameters', SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()])).results
+        assert result.successful, result.reason
+
+    def noted():
+        return [entry[2][-1] for text in texts for entry in json.loads(text)['entries']
+                if entry[0] == 'operation']
+    client.spin_until(lambda: all(value in noted() for value in values.values()))
 
 
 @pytest.mark.full
