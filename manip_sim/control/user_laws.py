@@ -210,6 +210,10 @@ class Laws(Mapping[str, Law]):
             self._laws[name] = _loaded(offer)
         return self._laws[name]
 
+    def __contains__(self, name: object) -> bool:
+        """Return whether there is a law of a name; packages that offer some are not loaded."""
+        return name in self._laws or name in offers('manip_sim.laws')
+
     def __iter__(self) -> Iterator[str]:
         return iter(dict.fromkeys([*self._laws, *offers('manip_sim.laws')]))
 

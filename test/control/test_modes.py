@@ -270,6 +270,18 @@ def test_other_packages_are_not_asked_again_for_the_mode_of_a_law(monkeypatch):
     assert MODES['law:still'] is mode
 
 
+def test_a_law_that_cannot_be_used_does_not_hide_what_is_wrong_with_a_command(
+        package_on_path, panda_sim):
+    package_on_path('manip_sim.laws', 'their_laws', 'number = 5', {'five': 'number'})
+    robot = panda_sim.robot
+    robot.set_control_mode('arm', 'effort')
+    with pytest.raises(CommandError, match='follows trajectories in position or .*effort mode'):
+        robot.parse.trajectory('arm', ARM, [1.0], [[0.0] * 7])
+    with pytest.raises(ModelError, match="'five' of the package their_laws 1.2.*got 5"):
+        robot.set_control_mode('arm', 'law:five')
+    assert {robot.joints.mode_of(name) for name in ARM} == {'effort'}
+
+
 def test_a_mode_need_not_be_hashable_and_its_fields_may_change_until_it_is_entered(
         modes, panda_sim):
     mode = Comparable()
