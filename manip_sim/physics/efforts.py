@@ -117,7 +117,7 @@ class ActuatorEfforts:
         self.rules: BoolArray = np.array([False, *_explicit_at_limits()])
         self._values: FloatArray = np.zeros(0)
         self.stale: BoolArray = np.zeros(1, dtype=bool)
-        self._loaded: FloatArray | float = 0.0
+        self._loaded: FloatArray | float
         self._derived = Derived()
         physics.on_change(self._find_views)
 
@@ -131,6 +131,7 @@ class ActuatorEfforts:
         self._last = np.concatenate(self._views)
         self._derived.of.clear()
         self._loads = _loads(model)
+        self._loaded = self._of_loads()
         self.restart()
         old, new = self._physics.kept_dofs
         self.values[new] = before[old]

@@ -19,6 +19,7 @@ from manip_sim.interface.composition import compose_world
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.laws import law
 from manip_sim.models import compose_robot
+from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with
 from manip_sim.records.record_file import decoder, definition, full_name, RecordFile
@@ -118,6 +119,19 @@ def test_the_commands_of_a_robot_of_each_kind_are_repeated(robot, session, verif
     code, lines = verify()
     assert lines[-1] == '1 of 1 equal' and code == 0
     assert lines[0].startswith('110 control periods repeated, with ')
+
+
+@pytest.mark.parametrize('gripper', [
+    pytest.param(name, marks=[] if name == 'VacuumGripper' else pytest.mark.full)
+    for name in gripper_names()])
+def test_the_commands_of_each_gripper_are_repeated(gripper, session, verify):
+    node = session(robot='UR5e', gripper=gripper)
+    node.act(3)
+    node.begin()
+    node.act(20)
+    node.close()
+    code, lines = verify()
+    assert lines[-1] == '1 of 1 equal' and code == 0, lines
 
 
 def trajectory(node, seconds=0.5):
