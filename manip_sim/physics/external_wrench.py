@@ -74,8 +74,7 @@ class BodyForces:
 
     def _find_tool(self) -> None:
         model, data = self._physics.model, self._physics.data
-        if self._mean is None:
-            self._compute_mean()
+        self.keep()
         self.bodies = self._find_bodies()
         self.forces = data.cfrc_ext[self.bodies]
         self._centre = data.subtree_com[model.body_rootid[self.bodies.start]]
@@ -160,6 +159,11 @@ class BodyForces:
     def mean(self) -> FloatArray:
         """Mean force and torque about the origin in world axes in the last control period."""
         return self._compute_mean() if self._mean is None else self._mean
+
+    def keep(self) -> None:
+        """Compute the mean, which the records of the next period leave as it is."""
+        if self._mean is None:
+            self._compute_mean()
 
     def _compute_mean(self) -> FloatArray:
         if self._rows:

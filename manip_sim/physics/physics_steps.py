@@ -399,6 +399,12 @@ class PhysicsSteps:
             tool.take_back(wrench)
         mujoco.mj_copyData(self._data, self._model, self._aside)
 
+    def keep_measured(self) -> None:
+        """Compute efforts and forces of the last period, for commands that come within this one."""
+        self._efforts.keep()
+        for tool in self.tools:
+            tool.keep()
+
     def begin_run(self) -> None:
         """Prepare for :meth:`run`, which is called for the intervals of a period."""
         self._pushed = self._touch.pushed

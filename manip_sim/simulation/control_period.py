@@ -152,6 +152,8 @@ class ControlPeriods:
             self._plan_measuring(steps)
             self._left = self._until_command(steps)
             self._later = steps - self._left
+            if self._later:
+                self._steps.keep_measured()
         self._begin_control(steps * self._timestep_s)
         self._begun = False
         self._steps.begin_run()

@@ -105,6 +105,22 @@ def test_it_needs_no_fresh_messages_and_a_newer_command_takes_the_arm():
     assert first.status is Status.REPLACED and second.status is Status.DONE
 
 
+def test_a_late_motion_ends_by_the_force_whether_somebody_reads_it_or_not():
+    outcomes = []
+    for reads in (False, True):
+        op = operator_of('Panda')
+        op.robot.set_payload('right', 1.0)  # It holds nothing, so the world seems to lift it.
+        op.robot.sensing.set('latency.command', 0.014)
+        handle = guarded(op)
+        for _ in range(3):
+            op.run(0.01)
+            if reads:
+                op.robot.state()
+        assert handle.status is Status.DONE and op.report.contact.cause == 'contact'
+        outcomes.append((op.report.contact.duration_s, op.simulation.digest()))
+    assert outcomes[0] == outcomes[1] and outcomes[0][0] == 0.0
+
+
 def test_what_touches_already_ends_it_at_once():
     op = operator_of('Panda', arena='table', contacts=True)
     op.run_until_done([guarded(op)], 10.0)
