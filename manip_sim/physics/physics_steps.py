@@ -400,7 +400,7 @@ class PhysicsSteps:
         mujoco.mj_copyData(self._data, self._model, self._aside)
 
     def keep_measured(self) -> None:
-        """Compute efforts and forces of the last period, for commands that come within this one."""
+        """Compute efforts and forces of the last period, for commands that come within one."""
         self._efforts.keep()
         for tool in self.tools:
             tool.keep()
