@@ -4,6 +4,7 @@
 """Blocks of Python on pages can be pasted into ``python3``, which takes statement by statement."""
 
 from codeop import CommandCompiler
+import re
 
 from pages import blocks, PAGES, ROOT
 import pytest
@@ -29,8 +30,7 @@ def statements(page):
     """Return the blocks of a page that no file holds, as lessons and packages have them."""
     of_files = page.parent.name == 'tutorials' or page.name.startswith('add_')
     return [block for block in blocks(page) if block.language == 'python' and not block.file
-            and not (of_files and any(line.lstrip().startswith(('class ', 'def ', '@'))
-                                      for line in block.text.splitlines()))
+            and not (of_files and re.search('^class ', block.text, re.MULTILINE))
             and not block.text.startswith(' ')]
 
 
