@@ -137,14 +137,11 @@ class _Graph:
             present = self.nodes(), self.topics(), self.services()
             if present != before:
                 changed_s, before = time.monotonic(), present
-            # A node may be found before its services; this node has some too.
-            others_serve = present[0] and any([not self.is_own(name) for name in present[2]])
+            # A node may be found before its services.
+            is_there = bool(present[0] and present[2])
             return time.monotonic() - changed_s > _SETTLED_S and (
-                bool(others_serve) or time.monotonic() - begin_s > _UNKNOWN_S)
+                is_there or time.monotonic() - begin_s > _UNKNOWN_S)
         self.spin_until(settled, _ANSWER_S)
-
-    def is_own(self, name: str) -> bool:
-        return name.startswith(f'/{self.node.get_name()}/')
 
     def nodes(self) -> list[str]:
         return sorted({name for name in self.node.get_fully_qualified_node_names()
@@ -163,7 +160,9 @@ class _Graph:
                 if self.node.count_subscribers(name)}
 
     def services(self) -> dict[str, list[str]]:
-        return dict(self.node.get_service_names_and_types())
+        own = f'/{self.node.get_name()}/'
+        return {name: types for name, types in self.node.get_service_names_and_types()
+                if not name.startswith(own)}
 
     def find(self, kind: str, name: str, present: Callable[[], Iterable[str]]) -> str:
         """
@@ -212,10 +211,18 @@ class _Graph:
             raise ManipSimError(f'{quoted(name)} has gone without an answer')
         return future.result()
 
+    def describe_missing(self) -> str | None:
+        """Return why no node is found, or why the messages of one do not arrive; else None."""
+        unheard: str | None = describe_unheard(self.node)
+        if unheard or self.nodes():
+            return unheard
+        return (f'no other node in ROS domain {os.environ.get("ROS_DOMAIN_ID", "0")}: start it in '
+                'a second shell, with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE')
+
     def _explained(self, error: ManipSimError) -> ManipSimError:
-        """Return an error with the reason, if messages of nodes that are found do not arrive."""
-        unheard = describe_unheard(self.node)
-        return ManipSimError(f'{error}; {unheard}') if unheard else error
+        """Return an error with the reason, if no node is found or its messages do not arrive."""
+        reason = self.describe_missing()
+        return ManipSimError(f'{error}; {reason}') if reason else error
 
 
 # ---------------------------------------------------------------------- topics and services
@@ -223,12 +230,10 @@ class _Graph:
 def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
     graph.settle()
     if not graph.nodes():
-        print('manip_sim:', describe_unheard(graph.node) or 'no node in ROS domain '
-              f'{os.environ.get("ROS_DOMAIN_ID", "0")} (ROS_DOMAIN_ID, '
-              'ROS_AUTOMATIC_DISCOVERY_RANGE)', file=sys.stderr)
+        print('manip_sim:', graph.describe_missing(), file=sys.stderr)
     present = graph.topics() if options.command == 'topic' else graph.services()
     names = [name for name in sorted(present)
-             if not topic_or_service_is_hidden(name) and not graph.is_own(name)]
+             if not topic_or_service_is_hidden(name)]
     lines = [f'{name} [{", ".join(present[name])}]' if options.show_types else name
              for name in names]
     for line in [str(len(names))] if options.count else lines:

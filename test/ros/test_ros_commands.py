@@ -151,6 +151,19 @@ def test_what_is_wrong_is_said_in_one_line_with_the_nearest_names(
         assert text in error and error.count('\n') == 1, (line, error)
 
 
+@pytest.mark.parametrize('line', [
+    'service call /manip_sim/reset std_srvs/srv/Trigger', 'topic echo /joint_states',
+    'param get /manip_sim timestep'])
+def test_a_name_that_is_not_there_is_explained_where_there_is_no_node(
+        graph, capsys, monkeypatch, line):
+    monkeypatch.setattr(ros_commands, '_UNKNOWN_S', 0.5)
+    assert manip_sim(line) == 1
+    assert re.search(
+        'available: (none|/parameter_events); no other node in ROS domain [0-9]+: start it in a '
+        'second shell, with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE\n$',
+        capsys.readouterr().err)
+
+
 def test_names_are_not_listed_before_another_node_and_its_services_are_found(graph, monkeypatch):
     monkeypatch.setattr(ros_commands, '_SETTLED_S', 0.1)
     for limit in ('_UNKNOWN_S', '_ANSWER_S'):
