@@ -40,6 +40,7 @@ import yaml
 from manip_sim.errors import ManipSimError, MessageError, UnknownNameError
 from manip_sim.quoting import one_line, quoted
 from manip_sim.rclpy_internals import describe_unheard, RCLError, start_rclpy, without_source
+from manip_sim.ros_environment import apt_names
 from manip_sim.startup import EndSignals
 
 #: Time after which a name without any owner counts as unknown, time without changes of the graph
@@ -498,8 +499,9 @@ def _interface(name: str, module: str) -> Any:
     try:
         interfaces = importlib.import_module(f'{package}.{module}')
     except ImportError as error:
-        raise ManipSimError(f'{label} type {quoted(name)}: there is no installed package '
-                            f'{quoted(package)} with such types') from error
+        raise ManipSimError(
+            f'{label} type {quoted(name)}: there is no package {quoted(package)} of {label}s here: correct '
+            f'the name, or install it (apt install {apt_names(package)})') from error
     kind = getattr(interfaces, words[-1], None)
     if not isinstance(kind, type):
         raise UnknownNameError(f'{label} type', name, [

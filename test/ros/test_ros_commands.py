@@ -79,8 +79,8 @@ WRONG = [
      'sensor_msgs/msg/JointState, not std_msgs/msg/String'),
     ('topic pub --once joint_command sensor_msgs/msg/JointStat', 1, 'did you mean '
      "'sensor_msgs/msg/JointState'"),
-    ('topic pub --once joint_command sensor_msg/msg/JointState', 1, 'there is no installed '
-     "package 'sensor_msg'"),
+    ('topic pub --once joint_command sensor_msg/msg/JointState', 1, "there is no package "
+     "'sensor_msg' of messages here: correct the name, or install it ("),
     ('topic pub --once joint_command JointState', 1, "'JointState' is not the type of a message"),
     ('topic pub --once joint_command sensor_msgs/msg/JointState {postion: [1.0]}', 1,
      "unknown field of sensor_msgs/msg/JointState 'postion': did you mean 'position'"),
