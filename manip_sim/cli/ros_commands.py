@@ -500,8 +500,9 @@ def _interface(name: str, module: str) -> Any:
         interfaces = importlib.import_module(f'{package}.{module}')
     except ImportError as error:
         raise ManipSimError(
-            f'{label} type {quoted(name)}: there is no package {quoted(package)} of {label}s here: correct '
-            f'the name, or install it (apt install {apt_names(package)})') from error
+            f'{label} type {quoted(name)}: there is no package {quoted(package)} of {label}s '
+            f'here: correct the name, or install it (apt install {apt_names(package)})'
+        ) from error
     kind = getattr(interfaces, words[-1], None)
     if not isinstance(kind, type):
         raise UnknownNameError(f'{label} type', name, [
