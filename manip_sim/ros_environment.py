@@ -46,7 +46,8 @@ def check_ros_environment() -> None:
     """
     Check variables that rcl reads: with a bad value it ends the process, or takes another one.
 
-    These are ``ROS_DOMAIN_ID``, ``ROS_AUTOMATIC_DISCOVERY_RANGE`` and ``RMW_IMPLEMENTATION``.
+    These are ``ROS_DOMAIN_ID``, ``ROS_AUTOMATIC_DISCOVERY_RANGE``, ``RMW_IMPLEMENTATION`` and
+    those of SROS2.
     Without room in shared memory, Fast DDS ends the process by SIGBUS.
 
     :raises ManipSimError: naming the values that can be used, or what fills the shared memory
@@ -66,6 +67,12 @@ def check_ros_environment() -> None:
     if chosen and installed and chosen not in installed:
         raise ManipSimError(f'RMW_IMPLEMENTATION is {quoted(chosen)}, which is not installed; '
                             f'installed: {", ".join(installed)}')
+    keystore = os.environ.get('ROS_SECURITY_KEYSTORE', '')
+    # Without it, rcl does without security, unless it is enforced, and says nothing.
+    if os.environ.get('ROS_SECURITY_ENABLE') == 'true' and not os.path.isdir(keystore):
+        raise ManipSimError('ROS_SECURITY_ENABLE is true, and ROS_SECURITY_KEYSTORE is no folder, '
+                            f'got {quoted(keystore)}: create one (ros2 security), or unset '
+                            'ROS_SECURITY_ENABLE')
     check_shared_memory()
 
 

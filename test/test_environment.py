@@ -53,6 +53,23 @@ def test_any_text_is_a_domain_or_one_line(text):
             assert text == '' or 0 <= int(text) <= 232
 
 
+@pytest.mark.parametrize('strategy', ['', 'Permissive', 'Enforce'])
+def test_security_without_a_keystore_is_rejected(strategy, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
+    monkeypatch.setenv('ROS_SECURITY_STRATEGY', strategy)
+    for keystore in ('', 'nowhere'):
+        monkeypatch.setenv('ROS_SECURITY_KEYSTORE', keystore)
+        with pytest.raises(ManipSimError, match='^ROS_SECURITY_ENABLE is true, and '
+                           f"ROS_SECURITY_KEYSTORE is no folder, got '{keystore}': create one "):
+            check_ros_environment()
+    monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(tmp_path))
+    check_ros_environment()
+    monkeypatch.setenv('ROS_SECURITY_KEYSTORE', '')
+    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'false')
+    check_ros_environment()
+
+
 def index(folder, *names):
     folder = folder / 'share' / 'ament_index' / 'resource_index' / 'rmw_typesupport'
     folder.mkdir(parents=True)
