@@ -28,15 +28,16 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line, quoted_names
 from manip_sim.ros_environment import set_discovery_profile, SHARE_MEMORY
 
-__all__ = ['count_messages', 'describe_unheard', 'endpoint_counts', 'forget_parameters',
-           'import_type_supports', 'InUse', 'is_unheard', 'MatchCounter', 'missing_for_publishing',
-           'missing_for_waits', 'parameter_overrides', 'publish_bytes', 'RCLError', 'start_rclpy',
-           'UnknownROSArgsError', 'WaitSet', 'without_source']
+__all__ = ['count_messages', 'describe_missing', 'describe_unheard', 'endpoint_counts',
+           'forget_parameters', 'import_type_supports', 'InUse', 'is_unheard', 'MatchCounter',
+           'missing_for_publishing', 'missing_for_waits', 'parameter_overrides', 'publish_bytes',
+           'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet', 'without_source']
 
 RCLError = _C_API.RCLError
 UnknownROSArgsError = _C_API.UnknownROSArgsError
@@ -157,6 +158,22 @@ def describe_unheard(node: Node) -> str:
     names = quoted_names(sorted(topics, key=lambda topic: (topic in _OF_EVERY_NODE, topic)), 3)
     return (f'a node is found with an end of {names}, but none of its messages arrive: '
             f'{SHARE_MEMORY}')
+
+
+def describe_missing(node: Node) -> str:
+    """
+    Return why a node finds no other one, or gets no messages of those, and what to do.
+
+    :param node: that has been there for some seconds
+    :returns: a clause for the end of a line; empty if it finds a node and gets its messages
+    """
+    own = node.get_fully_qualified_name()
+    if describe_unheard(node) or any(
+            name != own and not topic_or_service_is_hidden(name)
+            for name in node.get_fully_qualified_node_names()):
+        return describe_unheard(node)
+    return (f'no other node in ROS domain {os.environ.get("ROS_DOMAIN_ID", "0")}: start it in a '
+            'second shell, with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE')
 
 
 def parameter_overrides(node: Node) -> dict[str, Parameter]:

@@ -39,7 +39,8 @@ import yaml
 
 from manip_sim.errors import ManipSimError, MessageError, UnknownNameError
 from manip_sim.quoting import one_line, quoted
-from manip_sim.rclpy_internals import describe_unheard, RCLError, start_rclpy, without_source
+from manip_sim.rclpy_internals import (
+    describe_missing, describe_unheard, RCLError, start_rclpy, without_source)
 from manip_sim.ros_environment import apt_names
 from manip_sim.startup import EndSignals
 
@@ -212,17 +213,9 @@ class _Graph:
             raise ManipSimError(f'{quoted(name)} has gone without an answer')
         return future.result()
 
-    def describe_missing(self) -> str | None:
-        """Return why no node is found, or why the messages of one do not arrive; else None."""
-        unheard: str | None = describe_unheard(self.node)
-        if unheard or self.nodes():
-            return unheard
-        return (f'no other node in ROS domain {os.environ.get("ROS_DOMAIN_ID", "0")}: start it in '
-                'a second shell, with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE')
-
     def _explained(self, error: ManipSimError) -> ManipSimError:
         """Return an error with the reason, if no node is found or its messages do not arrive."""
-        reason = self.describe_missing()
+        reason = describe_missing(self.node)
         return ManipSimError(f'{error}; {reason}') if reason else error
 
 
@@ -231,7 +224,7 @@ class _Graph:
 def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
     graph.settle()
     if not graph.nodes():
-        print('manip_sim:', graph.describe_missing(), file=sys.stderr)
+        print('manip_sim:', describe_missing(graph.node), file=sys.stderr)
     present = graph.topics() if options.command == 'topic' else graph.services()
     names = [name for name in sorted(present)
              if not topic_or_service_is_hidden(name)]

@@ -28,7 +28,7 @@ import yaml
 
 from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import pluralize, quoted
-from manip_sim.rclpy_internals import describe_unheard, RCLError, start_rclpy, without_source
+from manip_sim.rclpy_internals import describe_missing, RCLError, start_rclpy, without_source
 from manip_sim.records.record_file import installed, joined, RecordFile
 from manip_sim.records.recorder import MODEL, NODE
 from manip_sim.resources import package_version
@@ -135,9 +135,9 @@ class _NodeRecorder:
             nodes = [f'{space.rstrip("/")}/{name}'
                      for name, space in self._node.get_node_names_and_namespaces()
                      if name != self._node.get_name()]
-            unheard = describe_unheard(self._node)
-            raise RecordError(f'there is no node {quoted(self._full)}: '
-                              + (unheard or describe_choices(self._full, nodes)))
+            raise RecordError(
+                f'there is no node {quoted(self._full)}: '
+                + (describe_missing(self._node) or describe_choices(self._full, nodes)))
         missing = sorted(self._asked - before.keys())[0]
         raise RecordError(f'the node {self._full} has no topic {quoted(missing)}: '
                           + describe_choices(missing, before))

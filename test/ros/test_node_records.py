@@ -152,6 +152,13 @@ def test_named_topics_are_recorded_for_a_time(sim_process, record, client, tmp_p
     assert errors == f'manip_sim: {path} already exists and is not overwritten\n'
 
 
+def test_a_record_without_a_node_says_what_to_check(record, tmp_path):
+    command = record(tmp_path / 'none.mcap')
+    assert command.communicate(timeout=WAIT_S)[1].startswith(
+        "manip_sim: there is no node '/manip_sim': no other node in ROS domain ")
+    assert command.returncode == 1
+
+
 @pytest.mark.full
 def test_what_is_not_there_is_one_line_and_no_file(sim_process, record, client, tmp_path):
     sim_process()
