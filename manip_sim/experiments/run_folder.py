@@ -87,7 +87,7 @@ class RunFolder:
                 raise ModelError(
                     f'{self.path} is the folder of another run: its {key} is '
                     f'{format_value(there.get(key), 100)}, '
-                    f'not {format_value(self._run.get(key), 100)}')
+                    f'not {format_value(self._run.get(key), 100)}: choose another folder')
         self._add_seeds(parse_seeds(there['seeds']))
 
     def _add_seeds(self, there: list[int]) -> None:

@@ -8,6 +8,7 @@ import json
 import os
 from pathlib import Path
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -680,7 +681,8 @@ def test_noise_of_a_run_is_that_of_an_environment_with_the_profile(whole, tmp_pa
 def test_a_folder_of_something_else_is_rejected(whole, tmp_path, capsys):
     before = {file: file.read_bytes() for file in whole.iterdir()}
     assert run(whole, '--latency', '0.1') == 1
-    assert 'is the folder of another run: its latency is' in capsys.readouterr().err
+    assert re.search('is the folder of another run: its latency is .*: choose another folder$',
+                     capsys.readouterr().err, re.MULTILINE)
     assert run(whole, seeds='0:5') == 1
     assert 'has the seeds 0:6: name all of them' in capsys.readouterr().err
     assert run(whole, '--shard', '1/2') == 1
