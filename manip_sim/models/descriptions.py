@@ -78,6 +78,9 @@ def checked(kind: type[M], values: Mapping[str, Any], source: str) -> M:
     :param kind: the model, which forbids extra keys
     :raises ModelError: on one line, naming the key that is unknown, missing or has a bad value
     """
+    if not isinstance(values, Mapping):
+        raise ModelError(f"{source}: must be keys with values, such as "
+                         f"{{'{next(iter(kind.model_fields))}': ...}}, got {format_value(values)}")
     try:
         return kind.model_validate(dict(values))
     except ValidationError as errors:
@@ -421,7 +424,7 @@ Mounted = TypeVar('Mounted', CameraDescription, LidarDescription)
 
 def read_mounted(kind: type[Mounted], noun: str, values: Mapping[str, Any]) -> tuple[Mounted, str]:
     """Return the description of a camera or lidar, and what to call it in messages."""
-    name = values.get('name')
+    name = values.get('name') if isinstance(values, Mapping) else None
     source = f'{noun} without a name' if name is None else f'{noun} {quoted(name)}'
     parsed = checked(kind, values, source)
     check_object_name(parsed.name, noun, f'a {noun} and its topics')

@@ -60,6 +60,9 @@ def create_object(description: Description, files: Files | None = None) -> Objec
         return description
     if isinstance(description, Mapping):
         return _from_values(description, '', Path(), files=files)
+    if not isinstance(description, (str, PathLike)):
+        raise ModelError("an object must be keys with values, such as {'name': ...}, or the path "
+                         f'of a file, got {format_value(description)}')
     path = Path(description)
     if path.suffix not in YAML_SUFFIXES:
         return _read(path, files=files)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import create_arena, World
+from manip_sim.models import compose, create_arena, World
 from manip_sim.models.cameras import create_camera, ImageSettings
 
 
@@ -134,3 +134,19 @@ def test_the_cameras_of_an_arena_are_as_high_above_its_furniture(arena, paramete
     usual_height = create_arena(arena).compile().camera('agentview').pos[2]
     lower = create_arena(arena, **{parameter: 0.5}).compile().camera('agentview').pos[2]
     assert lower == pytest.approx(usual_height - (usual - 0.5))
+
+
+@pytest.mark.parametrize(('what', 'descriptions'), [
+    ('camera', ['frontview']), ('camera', [None]), ('camera', {'name': 'front'}),
+    ('lidar', [1]), ('lidar', 'front')])
+def test_what_is_no_description_is_rejected_with_an_example(what, descriptions):
+    with pytest.raises(ModelError, match=f'^{what} without a name: must be keys with values, such '
+                       "as {'name': ...}, got "):
+        compose('Panda', **{f'{what}s': descriptions})
+
+
+@pytest.mark.parametrize('descriptions', [[1], [None], [['a']], b'x'])
+def test_what_is_no_object_is_rejected_with_what_can_be(descriptions):
+    with pytest.raises(ModelError, match='^an object must be keys with values, such as '
+                       "{'name': ...}, or the path of a file, got "):
+        compose('Panda', objects=descriptions)
