@@ -37,6 +37,7 @@ from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_model import SIZES
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names, RobotModel
 from manip_sim.models.urdf_writer.links import subtree
+from manip_sim.models.world import inferred_by_model
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import one_line, pluralize
 from manip_sim.resources import PACKAGE, share_directory
@@ -173,6 +174,8 @@ def describe(composed: Composed) -> Row:
                        for robot in world.robots),
         **{section: [row for sections in of_robots for row in sections[section]]
            for section in of_robots[0]},
+        'inferred': [{'model': name, 'inference': sentence}
+                     for name, sentences in inferred_by_model(world) for sentence in sentences],
         'cameras': camera_rows(model),
         'objects': [{'name': name, 'mass_kg': float(model.body(name).subtreemass[0])}
                     for name in simulation.entities.free_names],
@@ -296,6 +299,9 @@ _COLUMNS: dict[str, tuple[str, tuple[str, ...], Callable[[Row], tuple[str, ...]]
         'Models', ('kind', 'class', 'prefix', 'mass kg', 'joints', 'actuators', 'from'),
         lambda r: (_kind(r), r['class'], r['prefix'],
                    number(r['mass_kg']), str(r['joints']), str(r['actuators']), r['from'])),
+    'inferred': (
+        'Inferred from files', ('model', 'inference'),
+        lambda r: (r['model'], r['inference'])),
     'parts': (
         'Parts', ('part', 'consists of', 'joints', 'actuators', 'control mode'),
         lambda r: (r['name'], ', '.join(n for n in r['consists_of'] if n != r['name']) or '-',

@@ -288,6 +288,20 @@ def test_a_start_with_defects_is_pointed_out(here):
     assert "The start has 17 defects, see 'manip_sim check'" in text
 
 
+def test_what_was_inferred_of_files_is_listed(here, tmp_path):
+    file = tmp_path / 'arm.xml'
+    file.write_text(
+        '<mujoco><compiler angle="radian"/><worldbody><body name="foot"><geom size="0.1"/>'
+        '<body name="arm" pos="0 0 0.2"><joint name="elbow" range="0.4 0.8"/><geom size="0.1"/>'
+        '<site name="flange"/></body></body></worldbody>'
+        '<actuator><motor name="elbow" joint="elbow"/></actuator></mujoco>')
+    _, text, _ = here('describe', '--robot', str(file))
+    for sentence in load_robot(file).inferred:
+        assert f'  arm0   {sentence}' in text
+    assert 'middle of the range for elbow' in text
+    assert 'Inferred' not in here('describe', '--robot', 'Panda')[1]
+
+
 def test_what_was_inferred_of_a_file_is_printed_as_the_yaml_that_is_read(here, rejected, tmp_path):
     file = Path(__file__).resolve().parents[1] / 'data/files/keyframes.xml'
     code, text, errors = here('describe', '--robot', file, '--yaml')
