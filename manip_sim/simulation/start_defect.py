@@ -14,11 +14,9 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray
-from manip_sim.models.couplings import (
-    actuated_joints, JointCouplings, joints_between, moved_joints)
+from manip_sim.models.actuators import (
+    actuated_joints, effort_range, JointCouplings, joints_between, moved_joints, position_servos)
 from manip_sim.models.robots.robot_model import driven_joint
-from manip_sim.models.setpoint_activation import position_servos
-from manip_sim.physics.actuator_properties import effort_range
 from manip_sim.quoting import quoted_names
 
 

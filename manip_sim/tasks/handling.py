@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from manip_sim.algebra import length
+from manip_sim.algebra import length, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ModelError
@@ -22,7 +22,6 @@ from manip_sim.models.composing import compose_robot, DEFAULT, Gripper, Grippers
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.object_creation import Description
 from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.quaternion import wxyz_to_xyzw
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.tasks.expert import Expert, Hold, pointing_down, sides
 from manip_sim.tasks.grasping import held_only_by

@@ -13,7 +13,7 @@ from manip_sim.models.composing import compose_robot
 from manip_sim.models.robots import robot_names
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.operations import Operations
+from manip_sim.simulation.journal_entries import Operations
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 
