@@ -19,6 +19,11 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 
+#: Places of x, y, z and w in a quaternion of MuJoCo.
+XYZW = [1, 2, 3, 0]
+#: As w, x, y, z.
+NO_TURN = (1.0, 0.0, 0.0, 0.0)
+
 
 def product(left: FloatArray, right: FloatArray) -> FloatArray:
     """
@@ -57,12 +62,6 @@ def transposed_product(left: FloatArray, right: FloatArray) -> FloatArray:
 def length(vector: FloatArray) -> float:
     """Return the Euclidean norm of a vector."""
     return float(mujoco.mju_norm(vector))
-
-
-#: Places of x, y, z and w in a quaternion of MuJoCo.
-XYZW = [1, 2, 3, 0]
-#: As w, x, y, z.
-NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 
 def wxyz_to_xyzw(quat_wxyz: ArrayLike) -> FloatArray:

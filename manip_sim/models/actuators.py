@@ -27,6 +27,16 @@ from manip_sim.errors import ModelError
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 #: Types of transmissions to one joint.
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+#: Lag of a position servo whose gains are derived [s]: damping over stiffness.
+_LAG_S = 0.013
+#: Velocity limit of a joint that declares none [rad/s or m/s].
+_DEFAULT_VELOCITY = np.pi
+_WRAP, _EQUALITY = mujoco.mjtWrap, mujoco.mjtEq
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
+#: Number of positions in a joint's range at which velocity ratios are computed.
+_PLACES = 5
+_STEP = 1e-6
 
 
 def is_position_servo(actuator: Any) -> bool:
@@ -89,12 +99,6 @@ def add_setpoint_activation(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
         actuator.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
         actuator.dynprm[0] = 1.0
         actuator.actlimited = 0
-
-
-#: Lag of a position servo whose gains are derived [s]: damping over stiffness.
-_LAG_S = 0.013
-#: Velocity limit of a joint that declares none [rad/s or m/s].
-_DEFAULT_VELOCITY = np.pi
 
 
 def check_single(actuators: Sequence[str], joints: Sequence[str]) -> None:
@@ -176,11 +180,6 @@ def effort_range(model: mujoco.MjModel, joint_ids: IntArray, ids: IntArray) -> F
     return np.stack([ordered[..., 0].max(axis=0), ordered[..., 1].min(axis=0)], axis=1)
 
 
-_WRAP, _EQUALITY = mujoco.mjtWrap, mujoco.mjtEq
-_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
-_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
-
-
 @dataclass(frozen=True)
 class FrictionLaw:
     """
@@ -235,11 +234,6 @@ def velocity_of_servos(model: mujoco.MjModel, actuators: ArrayLike) -> FloatArra
                & (model.actuator_ctrllimited[ids] != 0))
     highest = np.abs(model.actuator_ctrlrange[ids]).min(axis=-1)
     return np.where(limited, highest / np.abs(model.actuator_gear[ids, 0]), np.inf)
-
-
-#: Number of positions in a joint's range at which velocity ratios are computed.
-_PLACES = 5
-_STEP = 1e-6
 
 
 class JointCouplings:

@@ -31,6 +31,19 @@ except ImportError as error:  # Ubuntu 24.04 has version 1, and all else works w
 
 __all__ = ['AfterValidator', 'BeforeValidator', 'checked', 'ConfigDict', 'Field',
            'model_validator', 'Number', 'Strict', 'StrictBool', 'StrictInt', 'ValidationError']
+M = TypeVar('M', bound=BaseModel)
+#: Greatest distance of an object or camera from the origin along an axis [m].
+_MAX_DISTANCE_M = 1e4
+_MIN_SIZE_M, _MAX_SIZE_M = 1e-4, 100.0
+#: Of water, as in MuJoCo [kg/m^3].
+_DEFAULT_DENSITY = 1000.0
+#: The shape that is in a file.
+MESH = 'mesh'
+#: Sliding, torsional [m] and rolling [m], as in MuJoCo.
+DEFAULT_FRICTION = (1.0, 0.005, 0.0001)
+#: A point nearer to the camera than this gives no direction to look in [m].
+_MIN_DISTANCE_M = 1e-6
+_Pixels = Annotated[StrictInt, Field(ge=1, le=MAX_PIXELS)]
 
 
 class Strict(BaseModel):
@@ -38,9 +51,6 @@ class Strict(BaseModel):
 
     # Each process that imports descriptions would wait for all of them.
     model_config = ConfigDict(extra='forbid', defer_build=True)
-
-
-M = TypeVar('M', bound=BaseModel)
 
 
 def compile_descriptions(base: type[Strict] = Strict) -> None:
@@ -130,19 +140,6 @@ _MESSAGES: dict[str, Callable[[Any], str]] = {
 }
 
 
-#: Greatest distance of an object or camera from the origin along an axis [m].
-_MAX_DISTANCE_M = 1e4
-_MIN_SIZE_M, _MAX_SIZE_M = 1e-4, 100.0
-#: Of water, as in MuJoCo [kg/m^3].
-_DEFAULT_DENSITY = 1000.0
-#: The shape that is in a file.
-MESH = 'mesh'
-#: Sliding, torsional [m] and rolling [m], as in MuJoCo.
-DEFAULT_FRICTION = (1.0, 0.005, 0.0001)
-#: A point nearer to the camera than this gives no direction to look in [m].
-_MIN_DISTANCE_M = 1e-6
-
-
 def _listed(value: object) -> object:
     """Return a number as a list of one, anything else as it is."""
     return [value] if isinstance(value, (int, float)) and not isinstance(value, bool) else value
@@ -164,7 +161,6 @@ _Colour = Annotated[Number, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 _Mass = Annotated[Number, Field(ge=MIN_MASS_KG, le=MAX_MASS_KG, allow_inf_nan=False)]
 _Scale = Annotated[Number, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
 _Density = Annotated[Number, Field(gt=0.0, le=1e5, allow_inf_nan=False)]
-_Pixels = Annotated[StrictInt, Field(ge=1, le=MAX_PIXELS)]
 _Turn = Annotated[Number, Field(ge=-math.pi - 1e-3, le=math.pi + 1e-3, allow_inf_nan=False)]
 _Tilt = Annotated[Number, Field(ge=-math.pi / 2, le=math.pi / 2, allow_inf_nan=False)]
 _Range = Annotated[Number, Field(gt=0.0, le=MAX_RANGE_M, allow_inf_nan=False)]

@@ -31,6 +31,22 @@ T = TypeVar('T')
 _LOGGER = logging.getLogger('manip_sim.models')
 #: The offers of other packages whose import is under way, the latest last.
 _importing: list[Offer] = []
+#: Environment variable of the folders to add to the catalogue, separated as in PATH.
+PATH_VARIABLE = 'MANIP_SIM_PATH'
+#: Environment variables of the path of a checkout of google-deepmind/mujoco_menagerie; the package
+#: reads the first.
+MENAGERIE_VARIABLES = ('MENAGERIE_ROOT', 'MENAGERIE')
+#: The remedy where models cannot be fetched.
+_OFFLINE = ('without internet, bring a clone of '
+            "https://github.com/google-deepmind/mujoco_menagerie and type 'export "
+            "MENAGERIE_ROOT=FOLDER', or name its folder in model_path")
+KINDS = ('robots', 'grippers', 'bases', 'arenas')
+_SUFFIXES = (*YAML_SUFFIXES, '.xml', '.mjcf', '.urdf')
+#: A xacro file, which arguments may follow.
+_XACRO = re.compile(r'\.xacro(\s|$)', re.IGNORECASE)
+_SCHEMES = ('menagerie:', 'robosuite:')
+_INCLUDE = re.compile(r'<include\s+file\s*=\s*"([^"]+)"')
+_model_path: list[Path] = []
 
 
 class Registry(Generic[T]):
@@ -213,25 +229,6 @@ def import_submodules(package: str, path: list[str]) -> None:
     """Import every module of a package, which registers its classes."""
     for module in pkgutil.iter_modules(path):
         importlib.import_module(f'{package}.{module.name}')
-
-
-#: Environment variable of the folders to add to the catalogue, separated as in PATH.
-PATH_VARIABLE = 'MANIP_SIM_PATH'
-#: Environment variables of the path of a checkout of google-deepmind/mujoco_menagerie; the package
-#: reads the first.
-MENAGERIE_VARIABLES = ('MENAGERIE_ROOT', 'MENAGERIE')
-#: The remedy where models cannot be fetched.
-_OFFLINE = ('without internet, bring a clone of '
-            "https://github.com/google-deepmind/mujoco_menagerie and type 'export "
-            "MENAGERIE_ROOT=FOLDER', or name its folder in model_path")
-KINDS = ('robots', 'grippers', 'bases', 'arenas')
-_SUFFIXES = (*YAML_SUFFIXES, '.xml', '.mjcf', '.urdf')
-#: A xacro file, which arguments may follow.
-_XACRO = re.compile(r'\.xacro(\s|$)', re.IGNORECASE)
-_SCHEMES = ('menagerie:', 'robosuite:')
-_INCLUDE = re.compile(r'<include\s+file\s*=\s*"([^"]+)"')
-
-_model_path: list[Path] = []
 
 
 def set_model_path(folders: Iterable[str | os.PathLike[str]]) -> None:

@@ -26,6 +26,10 @@ from manip_sim.quoting import format_value, one_line, quoted
 _MAX_TEXTS, _MAX_TEXT_BYTES, _MAX_TAGS = 200, 3_000_000, 60_000
 #: Largest file that a request reads [bytes]; all of them have at most twice as many.
 _MAX_FILE_BYTES = 20_000_000
+YAML_SUFFIXES = ('.yaml', '.yml')
+_MAX_BYTES = 1_000_000
+#: Longest YAML of a request, which is slow to read.
+_MAX_REQUESTED = 50_000
 
 
 def read_file(file: Path, kind: str) -> bytes:
@@ -320,12 +324,6 @@ class InMemoryFile(Files):
     def listed(self, folder: Path) -> list[Path]:
         """Return no entries."""
         return []
-
-
-YAML_SUFFIXES = ('.yaml', '.yml')
-_MAX_BYTES = 1_000_000
-#: Longest YAML of a request, which is slow to read.
-_MAX_REQUESTED = 50_000
 
 
 class StrictLoader(yaml.SafeLoader):  # type: ignore[misc]

@@ -35,6 +35,8 @@ ZERO.flags.writeable = False
 #: Sensors for which a step computes ``cfrc_ext``.
 _COLLECTING = tuple(int(getattr(mujoco.mjtSensor, f'mjSENS_{name}')) for name in (
     'ACCELEROMETER', 'FORCE', 'TORQUE', 'FRAMELINACC', 'FRAMEANGACC'))
+_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
+_BETWEEN_BODIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 class BodyForces:
@@ -250,10 +252,6 @@ def subtree_size(model: mujoco.MjModel, root: int) -> int:
     while last + 1 < model.nbody and root <= int(model.body_parentid[last + 1]):
         last += 1
     return last + 1 - root
-
-
-_SITE = int(mujoco.mjtObj.mjOBJ_SITE)
-_BETWEEN_BODIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 class ExternalWrench(BodyForces):

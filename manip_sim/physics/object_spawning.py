@@ -30,6 +30,29 @@ from manip_sim.models.object_creation import check_object_names, ObjectModel
 from manip_sim.models.spec_edits import TakenNames
 from manip_sim.quoting import quoted_names
 
+#: Sizes of a model whose elements have names, and what stands for them in ``name_*adr``.
+_NAMED = {
+    'nbody': 'body', 'njnt': 'jnt', 'ngeom': 'geom', 'nsite': 'site', 'ncam': 'cam',
+    'nlight': 'light', 'nflex': 'flex', 'nmesh': 'mesh', 'nskin': 'skin', 'nhfield': 'hfield',
+    'ntex': 'tex', 'nmat': 'mat', 'npair': 'pair', 'nexclude': 'exclude', 'neq': 'eq',
+    'ntendon': 'tendon', 'nsensor': 'sensor', 'nnumeric': 'numeric', 'ntext': 'text',
+    'ntuple': 'tuple', 'nplugin': 'plugin'}
+#: Numbers of positions and velocities of a joint that is not scalar.
+_QPOS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
+_DOFS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
+#: Kinds of elements that equalities connect whose ``eq_objtype`` does not say it.
+_ENDS = {int(mujoco.mjtEq.mjEQ_JOINT): int(mujoco.mjtObj.mjOBJ_JOINT),
+         int(mujoco.mjtEq.mjEQ_TENDON): int(mujoco.mjtObj.mjOBJ_TENDON)}
+#: Return where the rows of each element of a model begin, and how many there are.
+Spans = Callable[[Any], tuple[IntArray, IntArray]]
+#: Compiled from the element's own tree, but rounded differently if there is another tree.
+_DERIVED = frozenset((
+    'body_invweight0', 'dof_invweight0', 'tendon_invweight0', 'dof_M0', 'actuator_acc0'))
+#: Of ``mujoco.MjData``, what ``mj_forward`` does not compute; objects have no plugins, delays or
+#: plastic joints, so their arrays are the same before and after.
+_STATE = ('qpos', 'qvel', 'act', 'history', 'plastic', 'qacc_warmstart', 'plugin_state', 'ctrl',
+          'qfrc_applied', 'xfrc_applied', 'eq_active', 'mocap_pos', 'mocap_quat', 'userdata')
+
 
 @dataclass(frozen=True)
 class WorldPlan:
@@ -208,30 +231,6 @@ def delete(live: LiveWorld, name: str) -> LiveWorld:
     :raises UnknownNameError: if it is not the name of an object
     """
     return carry_over(live, plan_without(live.plan, name))
-
-
-#: Sizes of a model whose elements have names, and what stands for them in ``name_*adr``.
-_NAMED = {
-    'nbody': 'body', 'njnt': 'jnt', 'ngeom': 'geom', 'nsite': 'site', 'ncam': 'cam',
-    'nlight': 'light', 'nflex': 'flex', 'nmesh': 'mesh', 'nskin': 'skin', 'nhfield': 'hfield',
-    'ntex': 'tex', 'nmat': 'mat', 'npair': 'pair', 'nexclude': 'exclude', 'neq': 'eq',
-    'ntendon': 'tendon', 'nsensor': 'sensor', 'nnumeric': 'numeric', 'ntext': 'text',
-    'ntuple': 'tuple', 'nplugin': 'plugin'}
-#: Numbers of positions and velocities of a joint that is not scalar.
-_QPOS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
-_DOFS_OF_JOINT = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
-#: Kinds of elements that equalities connect whose ``eq_objtype`` does not say it.
-_ENDS = {int(mujoco.mjtEq.mjEQ_JOINT): int(mujoco.mjtObj.mjOBJ_JOINT),
-         int(mujoco.mjtEq.mjEQ_TENDON): int(mujoco.mjtObj.mjOBJ_TENDON)}
-#: Return where the rows of each element of a model begin, and how many there are.
-Spans = Callable[[Any], tuple[IntArray, IntArray]]
-#: Compiled from the element's own tree, but rounded differently if there is another tree.
-_DERIVED = frozenset((
-    'body_invweight0', 'dof_invweight0', 'tendon_invweight0', 'dof_M0', 'actuator_acc0'))
-#: Of ``mujoco.MjData``, what ``mj_forward`` does not compute; objects have no plugins, delays or
-#: plastic joints, so their arrays are the same before and after.
-_STATE = ('qpos', 'qvel', 'act', 'history', 'plastic', 'qacc_warmstart', 'plugin_state', 'ctrl',
-          'qfrc_applied', 'xfrc_applied', 'eq_active', 'mocap_pos', 'mocap_quat', 'userdata')
 
 
 class ElementMap:

@@ -30,6 +30,9 @@ from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
 
 WORLD = 'world'
+#: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
+#: along z with y down: half a turn about x, as w, x, y, z.
+_TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -204,11 +207,6 @@ class OdometryReader:
         mujoco.mju_mulQuat(quat_wxyz, inverse, data.xquat[body])
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
         return Odometry(position, wxyz_to_xyzw(quat_wxyz), velocity[3:], velocity[:3])
-
-
-#: From MuJoCo's camera, which looks along -z with y up, to REP 103's optical frame, which looks
-#: along z with y down: half a turn about x, as w, x, y, z.
-_TO_OPTICAL = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)

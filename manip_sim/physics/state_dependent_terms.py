@@ -20,6 +20,8 @@ from manip_sim.errors import ModelError
 from manip_sim.models.actuators import FrictionLaw
 from manip_sim.physics.physics import Physics
 
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
 
 class Belts:
     """
@@ -132,9 +134,6 @@ class FrictionLaws:
             (self._no_load - speed) / (self._no_load - self._knee), 0.0, 1.0), 1.0)
         moves = np.stack([velocity < 0.0, velocity > 0.0], axis=1)
         model.jnt_actfrcrange[self._joints] = self._limits * np.where(moves, left[:, None], 1.0)
-
-
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 class FloatingBases:

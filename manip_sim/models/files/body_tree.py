@@ -26,6 +26,32 @@ _SIDES = {'left': 'left', 'l': 'left', 'lh': 'left', 'right': 'right', 'r': 'rig
 _JOINED = re.compile(
     r'(left|right|upper|lower|[lrfbu])?(thigh|shin|shank|calf|foot|toe|ankle|knee|femur|tibia|hip|'
     r'leg|finger|thumb|hand|wrist|elbow|shoulder|head|neck|wheel)s?(r?[xyz]|[pr]|joint|link)?')
+#: A hand has at most so many fingers, and one of two hands of a file so many at least; more limbs
+#: that are alike are legs.
+MAX_FINGERS, FINGERS = 5, 3
+#: Words in the name of a body that carries fingers.
+PALM_WORDS = {'gripper', 'hand', 'palm', 'claw'}
+#: Words in the name of a hip that some call a shoulder, those that only arms and hands have, and
+#: those that only legs have.
+_HIP_WORDS, _BEYOND_HIP = {'shoulder'}, {'elbow', 'wrist', 'finger', 'thumb'}
+_FOOT_WORDS = {'foot', 'toe', 'paw'}
+#: The fewest limbs that may be legs by their places alone.
+_LEAST_LEGS = 4
+#: Two limbs alone are legs if they have so many joints, and end so near to the floor, as a share
+#: of the height of the trunk.
+_LEAST_JOINTS, _ON_FLOOR = 3, 0.2
+#: A hinge that turns farther than this has no limits in practice [rad].
+_UNLIMITED_RAD = 100.0
+#: Likewise a slide [m].
+_UNLIMITED_M = 20.0
+#: Wheels have axes, and planes normals, that deviate by less than this from the ideal [sine].
+_ALIGNED = 0.1
+#: Limbs are mirrored if the places of their roots are so within this share of their distance.
+_MIRRORED = 0.1
+#: Limbs are in a row if their places deviate from a line by less than this share of its length.
+_IN_ROW = 0.2
+#: Places that are nearer are one [m].
+_APART_M = 1e-6
 
 
 @lru_cache(maxsize=4096)
@@ -194,34 +220,6 @@ class BodyTree:
     def is_scalar(self, joint: int) -> bool:
         """Return whether a joint is a hinge or a slide."""
         return int(self.model.jnt_type[joint]) in SCALAR
-
-
-#: A hand has at most so many fingers, and one of two hands of a file so many at least; more limbs
-#: that are alike are legs.
-MAX_FINGERS, FINGERS = 5, 3
-#: Words in the name of a body that carries fingers.
-PALM_WORDS = {'gripper', 'hand', 'palm', 'claw'}
-#: Words in the name of a hip that some call a shoulder, those that only arms and hands have, and
-#: those that only legs have.
-_HIP_WORDS, _BEYOND_HIP = {'shoulder'}, {'elbow', 'wrist', 'finger', 'thumb'}
-_FOOT_WORDS = {'foot', 'toe', 'paw'}
-#: The fewest limbs that may be legs by their places alone.
-_LEAST_LEGS = 4
-#: Two limbs alone are legs if they have so many joints, and end so near to the floor, as a share
-#: of the height of the trunk.
-_LEAST_JOINTS, _ON_FLOOR = 3, 0.2
-#: A hinge that turns farther than this has no limits in practice [rad].
-_UNLIMITED_RAD = 100.0
-#: Likewise a slide [m].
-_UNLIMITED_M = 20.0
-#: Wheels have axes, and planes normals, that deviate by less than this from the ideal [sine].
-_ALIGNED = 0.1
-#: Limbs are mirrored if the places of their roots are so within this share of their distance.
-_MIRRORED = 0.1
-#: Limbs are in a row if their places deviate from a line by less than this share of its length.
-_IN_ROW = 0.2
-#: Places that are nearer are one [m].
-_APART_M = 1e-6
 
 
 def is_unlimited(model: mujoco.MjModel, joint: int) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 import itertools
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,12 +27,10 @@ from manip_sim.models.files.part_descriptions import (
 from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
 from manip_sim.models.loading import compile_copy
+from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import (
     add_body_at, delete_elements, find_place, free_name, quat_wxyz_of)
 from manip_sim.quoting import quoted_names
-
-if TYPE_CHECKING:
-    from manip_sim.models.robots.robot_model import RobotModel
 
 #: Fingers that reach less far give no direction [m].
 _SHORT_M = 0.02

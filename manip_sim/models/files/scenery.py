@@ -34,6 +34,15 @@ _OF_OBJTYPE = (int(_EQ.mjEQ_CONNECT), int(_EQ.mjEQ_WELD))
 _POSITIONS = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
 #: Remedy for a missing name.
 _INCLUDED = 'if another file includes this one, load that'
+_GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: Properties of a camera besides its name and pose.
+_OF_CAMERA = ('mode', 'targetbody', 'fovy', 'resolution', 'sensor_size', 'focal_length',
+              'focal_pixel', 'principal_length', 'principal_pixel', 'intrinsic', 'ipd', 'proj')
+_WELD, _CONNECT = int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)
+_BODY = int(mujoco.mjtObj.mjOBJ_BODY)
+#: Beginning of names of shapes and materials of mocap bodies, behind the robot's prefix.
+_APART = 'mocap_'
 
 
 def leave_out_dangling(spec: mujoco.MjSpec) -> list[str]:
@@ -137,13 +146,6 @@ def _left_out_keyframes(spec: mujoco.MjSpec) -> list[str]:
                          f'the file has {pluralize(len(spec.actuators), "actuator")}')
             key.ctrl = []
     return notes
-
-
-_GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: Properties of a camera besides its name and pose.
-_OF_CAMERA = ('mode', 'targetbody', 'fovy', 'resolution', 'sensor_size', 'focal_length',
-              'focal_pixel', 'principal_length', 'principal_pixel', 'intrinsic', 'ipd', 'proj')
 
 
 def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tuple[Any, list[str]]:
@@ -341,12 +343,6 @@ def _wrapped(spec: mujoco.MjSpec, name: str) -> Any:
         warnings.simplefilter('ignore')
         attach(whole, spec, '', whole.worldbody.add_body(name=name).add_frame())
     return whole
-
-
-_WELD, _CONNECT = int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)
-_BODY = int(mujoco.mjtObj.mjOBJ_BODY)
-#: Beginning of names of shapes and materials of mocap bodies, behind the robot's prefix.
-_APART = 'mocap_'
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,27 @@ from manip_sim.models.urdf_writer.links import (
 from manip_sim.models.world import World
 from manip_sim.quoting import quoted
 
+#: Hardware component from apt, which reads and writes joint states.
+TOPIC_PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
+#: Hardware component of the package in ``hardware/``, which knows lock-step and sensors too.
+OWN_PLUGIN = 'manip_sim_hardware/ManipSimSystem'
+PLUGINS = (TOPIC_PLUGIN, OWN_PLUGIN)
+#: A threshold below zero lets the plugin publish in each cycle; else it is silent while states and
+#: commands agree, and a command timeout of the node would stop the robot.
+_ALWAYS = '-1'
+_STATES = ('position', 'velocity', 'effort')
+_WRENCH = tuple(f'{kind}.{axis}' for kind in ('force', 'torque') for axis in 'xyz')
+_IMU = (*(f'orientation.{axis}' for axis in 'xyzw'), *(
+    f'{kind}.{axis}' for kind in ('angular_velocity', 'linear_acceleration') for axis in 'xyz'))
+#: Limit of a prismatic joint without a range, for which URDF requires one [m].
+_FAR_M = 1000.0
+#: Of a joint without a limit, as in the simulation's servos [rad/s or m/s].
+DEFAULT_VELOCITY = float(np.pi)
+#: Of a joint whose actuators have no limit [N m or N].
+DEFAULT_EFFORT = 1000.0
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+
 
 @dataclass(frozen=True)
 class Urdf:
@@ -247,20 +268,6 @@ __all__ = ['build_tree', 'choose_robot', 'Hardware', 'KinematicTree', 'OWN_PLUGI
            'robot_tree', 'TOPIC_PLUGIN', 'Urdf', 'urdf_of', 'urdfs_of', 'write_urdf']
 
 
-#: Hardware component from apt, which reads and writes joint states.
-TOPIC_PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
-#: Hardware component of the package in ``hardware/``, which knows lock-step and sensors too.
-OWN_PLUGIN = 'manip_sim_hardware/ManipSimSystem'
-PLUGINS = (TOPIC_PLUGIN, OWN_PLUGIN)
-#: A threshold below zero lets the plugin publish in each cycle; else it is silent while states and
-#: commands agree, and a command timeout of the node would stop the robot.
-_ALWAYS = '-1'
-_STATES = ('position', 'velocity', 'effort')
-_WRENCH = tuple(f'{kind}.{axis}' for kind in ('force', 'torque') for axis in 'xyz')
-_IMU = (*(f'orientation.{axis}' for axis in 'xyzw'), *(
-    f'{kind}.{axis}' for kind in ('angular_velocity', 'linear_acceleration') for axis in 'xyz'))
-
-
 @dataclass(frozen=True)
 class Hardware:
     """
@@ -333,16 +340,6 @@ def add_hardware(robot: ElementTree.Element, hardware: Hardware, joints: Sequenc
                 ElementTree.SubElement(sensor, 'param', name='rate').text = rate
             for interface in interfaces:
                 ElementTree.SubElement(sensor, 'state_interface', name=interface)
-
-
-#: Limit of a prismatic joint without a range, for which URDF requires one [m].
-_FAR_M = 1000.0
-#: Of a joint without a limit, as in the simulation's servos [rad/s or m/s].
-DEFAULT_VELOCITY = float(np.pi)
-#: Of a joint whose actuators have no limit [N m or N].
-DEFAULT_EFFORT = 1000.0
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,19 @@ from manip_sim.sensing.instruments import instrument_sites
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 #: From MuJoCo's camera, which looks along -z with y up, to an optical frame: along z, y down.
 _TO_OPTICAL = np.diag([1.0, -1.0, -1.0])
+#: A sphere of radius 1 [m], for ellipsoids.
+UNIT_SPHERE = f'package://{PACKAGE}/assets/meshes/unit_sphere.stl'
+#: Key, in place of the name of a mesh, of another file of that sphere.
+ELLIPSOID = '<ellipsoid>'
+#: Formats that RViz and MoveIt read too; only MuJoCo reads its .msh.
+_READABLE = ('.stl', '.obj', '.dae')
+#: Times that each triangle of the icosahedron is divided into four.
+_LEVELS = 3
+_GEOM = mujoco.mjtGeom
+#: Groups of geoms that MuJoCo shows by default.
+_SHOWN_GROUPS = 3
+#: Smaller numbers are zeros with the rounding error of a product of two rotations.
+_NOTHING = 1e-16
 
 
 @dataclass(frozen=True)
@@ -239,21 +252,6 @@ def _moves(model: mujoco.MjModel, body: int
             yield joint, 'prismatic', -axis * zero, np.eye(3), np.zeros(3)
         else:
             yield joint, 'floating', np.zeros(3), np.eye(3), np.zeros(3)
-
-
-#: A sphere of radius 1 [m], for ellipsoids.
-UNIT_SPHERE = f'package://{PACKAGE}/assets/meshes/unit_sphere.stl'
-#: Key, in place of the name of a mesh, of another file of that sphere.
-ELLIPSOID = '<ellipsoid>'
-#: Formats that RViz and MoveIt read too; only MuJoCo reads its .msh.
-_READABLE = ('.stl', '.obj', '.dae')
-#: Times that each triangle of the icosahedron is divided into four.
-_LEVELS = 3
-_GEOM = mujoco.mjtGeom
-#: Groups of geoms that MuJoCo shows by default.
-_SHOWN_GROUPS = 3
-#: Smaller numbers are zeros with the rounding error of a product of two rotations.
-_NOTHING = 1e-16
 
 
 @dataclass(frozen=True)
