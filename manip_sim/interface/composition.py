@@ -22,8 +22,8 @@ from manip_sim.interface.parameters import (
     place_parameters, reflex_parameters, sensing_parameters, speed_parameter, steps_per_period,
     stream_parameters, timeout_parameters, wrench_parameters)
 from manip_sim.interface.topics import Scope
-from manip_sim.models import Arena, compose_robot, create_arena, set_model_path, World
-from manip_sim.models.arenas import arena_parameters
+from manip_sim.models import (
+    Arena, arena_parameters, compose_robot, create_arena, set_model_path, World)
 from manip_sim.models.cameras import (
     chosen_cameras, described_cameras, described_lidars, ImageSettings)
 from manip_sim.models.robots import RobotModel

@@ -15,8 +15,7 @@ from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec, SPAWNED
 from manip_sim.interface.topics import Scope
-from manip_sim.models.arenas import arena_names, arena_parameters
-from manip_sim.models.arenas.arena import ArenaParameter
+from manip_sim.models.arenas import arena_names, arena_parameters, ArenaParameter
 from manip_sim.models.bases import base_names
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.grippers import gripper_names

@@ -77,5 +77,5 @@ def arena_parameters(name: str | PathLike[str]) -> tuple[ArenaParameter, ...]:
 
 
 __all__ = [
-    'Arena', 'BinsArena', 'EmptyArena', 'TableArena', 'arena_names',
+    'Arena', 'ArenaParameter', 'BinsArena', 'EmptyArena', 'TableArena', 'arena_names',
     'arena_parameters', 'create_arena']
