@@ -66,7 +66,13 @@ class ArenaParameter:
         return f'{self.low:g} to {self.high:g} {self.unit}'.rstrip()
 
     def check(self, value: Any, arena: str) -> None:
-        """Reject a value of the wrong type or outside the limits."""
+        """
+        Reject a value of the wrong type or outside the limits.
+
+        :param value: of the parameter
+        :param arena: its name, for the message
+        :raises ModelError: naming the limits
+        """
         if isinstance(self.default, bool):
             fits = isinstance(value, bool)
         else:
