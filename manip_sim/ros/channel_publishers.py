@@ -53,6 +53,10 @@ class Publication:
         self._channel = channel
         self._present = channel.read, message if is_alike else _serialized(channel), channel.every
 
+    def prepare(self) -> None:
+        """Prepare the first message, in any thread."""
+        self._present[1].prepare()
+
     def look(self) -> bool:
         """Return whether there are subscribers, and messages for them."""
         return self.output.has_subscribers
@@ -120,6 +124,13 @@ class ChannelPublishers(Feature):
         self.world_changed()
         context.thread.observe(self.publish, every, self.look)
 
+    def started(self) -> None:
+        self._prepare()
+
+    def _prepare(self) -> None:
+        for publication in self._all.values():
+            publication.prepare()
+
     def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
         self.world_changed()
 
@@ -168,6 +179,8 @@ class ChannelPublishers(Feature):
         for name in gone:
             before[name].output.close(self._context.node)
         table[:] = [row for row in table if row.name not in gone]
+        if self._context.is_built:  # Before, the first state should not wait for it.
+            self._prepare()
 
     def look(self) -> bool:
         """Check which channels have subscribers, and return whether any has."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 import contextlib
-from functools import cache, partial
+from functools import cache, cached_property, partial
 import importlib
 import struct
 import sys
@@ -266,14 +266,20 @@ class SerializedMessage:
     """
 
     def __init__(self, make: Make, count: int, patches: bool = True) -> None:
-        self._make = make
-        self._count = count
-        self._patched: PatchedBytes | None = None
+        self._make, self._count, self._may_patch = make, count, patches
+
+    @cached_property
+    def _patched(self) -> PatchedBytes | None:
         # A type that is not generated from a definition cannot be serialized.
-        if patches and hasattr(type(make(stamp_of(0), np.zeros(count))), '_TYPE_SUPPORT'):
-            self._patched = PatchedBytes(self._serialize, count)
-            if not self._is_right():
-                self._patched = None
+        if not (self._may_patch and hasattr(
+                type(self._make(stamp_of(0), np.zeros(self._count))), '_TYPE_SUPPORT')):
+            return None
+        patched = PatchedBytes(self._serialize, self._count)
+        return patched if self._is_right(patched) else None
+
+    def prepare(self) -> None:
+        """Take the time now that the first message would take in addition; again, nothing."""
+        _ = self._patched
 
     @property
     def patches(self) -> bool:
@@ -283,15 +289,14 @@ class SerializedMessage:
     def _serialize(self, time_ns: int, numbers: FloatArray) -> bytes:
         return bytes(serialize_message(self._make(stamp_of(time_ns), numbers)))
 
-    def _is_right(self) -> bool:
+    def _is_right(self, patched: PatchedBytes) -> bool:
         # Bytes cannot be compared: rclpy leaves those between aligned numbers as they were.
         time_ns, numbers = 1_000_000_002, np.linspace(0.1, 9.9, self._count, dtype=np.float64)
         made = self._make(stamp_of(time_ns), numbers)
-        assert self._patched is not None
         # rclpy appends what happens to be in memory, up to the size that it has estimated.
-        self._patched.cut(_ENCODING_SIZE + _end('', made, 0))
+        patched.cut(_ENCODING_SIZE + _end('', made, 0))
         try:
-            return bool(made == deserialize_message(self.at(time_ns, numbers), type(made)))
+            return bool(made == deserialize_message(patched.at(time_ns, numbers), type(made)))
         except RuntimeError:  # rclpy cannot read the bytes as such a message.
             return False
 

@@ -189,9 +189,11 @@ class TransformPublisher:
         :param simulation: whose objects may have come or gone
         """
         tree = self._frames(simulation)
-        # Assigned at once, because the simulation's thread needs a tree with its own message.
-        self._present = tree, SerializedMessage(
+        message = SerializedMessage(
             partial(transforms, tree.moving, self._prefix), 7 * len(tree.moving))
+        message.prepare()
+        # Assigned at once, because the simulation's thread needs a tree with its own message.
+        self._present = tree, message
         self._static.publish(transforms(
             tree.static, self._prefix, stamp_of(simulation.time_ns), tree.static_poses))
 

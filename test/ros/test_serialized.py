@@ -10,6 +10,7 @@ from types import SimpleNamespace as Plain
 from geometry_msgs.msg import PoseStamped
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
@@ -23,6 +24,7 @@ from manip_sim.ros import channel_publishers, messages, visualization_topics
 from manip_sim.ros.channel_publishers import ChannelPublishers
 from manip_sim.ros.feature import Output
 from manip_sim.ros.messages import SerializedMessage
+from manip_sim.ros.sim_node import SimNode
 
 NAMES = [f'robot0_joint{n}' for n in range(1, 8)]
 FRAMES = [TreeFrame('link1', 'world'), TreeFrame('link2', 'link1'), TreeFrame('ball', 'world')]
@@ -186,7 +188,8 @@ def publish(monkeypatch):
         publisher = Listeners()
         monkeypatch.setattr(channel_publishers, 'create_output',
                             lambda *_: Output(publisher, None))
-        context = Plain(robots={}, table=[], thread=Plain(observe=lambda *_: None))
+        context = Plain(robots={}, table=[], thread=Plain(observe=lambda *_: None),
+                        is_built=True)
         return publisher, ChannelPublishers(context, lambda _: [[channel]])
     return start
 
@@ -247,3 +250,22 @@ def test_a_joint_without_a_setpoint_has_no_error_and_its_effort_as_the_reference
     np.testing.assert_allclose(controller_numbers(state).reshape(ROWS, 2), [
         [0.1, 0.5], [1.0, 0.7], [3.0, 0.0], [0.0, 9.0],
         [0.4, 0.5], [0.6, 0.7], [0.8, 0.9], [-0.3, 0.0], [0.4, 0.0]])
+
+
+def test_messages_are_prepared_after_the_first_state_and_as_topics_come(client):
+    node = SimNode(context=client.context)
+
+    def prepared():
+        """Return which topics have a message that takes no time in addition."""
+        return {name: '_patched' in vars(publication._present[1])
+                for feature in node.shared.features if isinstance(feature, ChannelPublishers)
+                for name, publication in feature._all.items()}
+    try:
+        assert {'joint_states', 'right/wrench', '/clock'} <= prepared().keys()
+        assert not any(prepared().values())
+        node.start()
+        assert all(prepared().values())
+        node.set_parameters([Parameter('noise.joint_position', value=0.01)])
+        assert 'truth/joint_states' in prepared() and all(prepared().values())
+    finally:
+        node.destroy_node()
