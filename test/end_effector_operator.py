@@ -70,12 +70,12 @@ class EndEffectorOperator:
         mujoco.mj_kinematics(model, data)
         return data.site_xpos[self.site].copy(), data.site_xmat[self.site].reshape(3, 3).copy()
 
-    def go_to(self, pose, frame='', sent_ns=0):
+    def go_to(self, pose, frame='', sent_ns=0, messages=1):
         """Apply a target pose; return its handle."""
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[1]).ravel())
         return self.apply(replace(self.robot.parse_cartesian.pose(
-            self.arm, pose[0], quat[[1, 2, 3, 0]], frame), sent_ns=sent_ns))
+            self.arm, pose[0], quat[[1, 2, 3, 0]], frame), sent_ns=sent_ns, messages=messages))
 
     def move_at(self, linear, angular=(0.0, 0.0, 0.0), frame=''):
         """Apply a target twist; return its handle."""

@@ -86,6 +86,21 @@ def test_slow_poses_are_followed_without_stops_if_they_are_admitted(longest_s, r
     assert (np.ptp(speeds) < ripple) == (ripple < 0.1)
 
 
+def test_of_two_poses_at_one_instant_the_newer_one_counts_as_two_messages():
+    places = []
+    for alone in (False, True):
+        op = operator_of('Panda')
+        start, rotation = op.pose
+        for period in range(40):
+            pose = start + [0.0, 0.003 * period, 0.0], rotation
+            if not alone:
+                op.go_to((start + [0.0, 0.0, 0.01], turned([1.0, 0.0, 0.0], 0.1) @ rotation))
+            op.go_to(pose, messages=1 + alone)
+            op.run(op.period_s)
+        places.append(op.simulation.data.qpos.tolist())
+    assert places[0] == places[1]
+
+
 @pytest.mark.full
 @pytest.mark.parametrize('mode', ['position', 'effort'])
 def test_poses_that_are_followed_are_not_told_to_be_out_of_reach(mode):
