@@ -266,6 +266,9 @@ class PhysicsSteps:
     def end_by_law(self) -> None:
         """End a control period of which a law has computed the last instant."""
         self._computed = True
+        self._edit()
+        if not self._computed:
+            self.compute()
 
     def places_at_begin(self) -> mujoco.MjData:
         """Return data with the kinematics at the beginning of the period, until others use it."""

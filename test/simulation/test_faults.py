@@ -178,6 +178,16 @@ def test_a_restored_state_goes_on_to_the_bit_here_and_elsewhere_also_from_json(m
         np.testing.assert_array_equal(seen, ends[0][1])
 
 
+def test_sensors_are_those_of_a_restored_state_where_joints_go_limp_and_are_held_again():
+    simulation = Simulation(compose('Panda', faults=[fault('limp')]))
+    for period in range(45):
+        simulation.advance(5)
+        before = simulation.data.sensordata.copy(), simulation.data.qacc.copy()
+        simulation.restore(simulation.save())
+        for numbers, now in zip(before, (simulation.data.sensordata, simulation.data.qacc)):
+            np.testing.assert_array_equal(numbers, now, err_msg=f'after period {period}')
+
+
 def test_an_injected_fault_acts_from_now_on_and_ends_with_a_reset():
     simulation, *_ = swinging(seconds=0.1)
     assert simulation.faults.summary() == []
