@@ -9,7 +9,7 @@ The time along their paths may pass slower than simulation time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 import math
 
@@ -29,15 +29,19 @@ _LEAST_SHARE = 0.05
 
 class PathClock:
     """
-    The time along paths; it passes at a share of simulation time, which changes gradually.
+    The time along paths; it passes at a share of simulation time.
+
+    The share changes gradually while anything follows a path, and else at once.
 
     :param slew: how fast the share may change [1/s]
+    :param leads: returns whether anything follows a path
     :ivar scaling: share of simulation time that it comes to, from 0 to 1
     """
 
     remembered = ('scaling', '_share', '_since_s', '_path_s')
 
-    def __init__(self, slew: float) -> None:
+    def __init__(self, slew: float, leads: Callable[[], bool]) -> None:
+        self._leads = leads
         self._slew, self.scaling, self._share = slew, 1.0, 1.0
         self._since_s = self._path_s = 0.0
 
@@ -55,8 +59,8 @@ class PathClock:
         if scaling == self.scaling:
             return  # Whoever goes on with it comes to the same bits.
         path_s, (share, _) = float(self.at(now_s)), self._shares(now_s)
-        self._path_s, self._share, self._since_s = path_s, float(share), now_s
-        self.scaling = scaling
+        self._path_s, self._since_s, self.scaling = path_s, now_s, scaling
+        self._share = float(share) if self._leads() else scaling
 
     def at(self, times_s: ArrayLike) -> FloatArray:
         """
@@ -127,8 +131,11 @@ class TrajectoryFollowing:
     def __init__(self, setpoints: SetpointGenerator, commands: Ledger, count: int,
                  slew: float) -> None:
         self._setpoints, self._commands, self._count = setpoints, commands, count
-        self.clock = PathClock(slew)
+        self.clock = PathClock(slew, self._leads)
         self.forget()
+
+    def _leads(self) -> bool:
+        return any([isinstance(command, JointTrajectory) for command in self._commands.running])
 
     def forget(self) -> None:
         """Let the next points be no part of a stream, at the start of an episode."""
