@@ -161,6 +161,21 @@ def test_a_missing_module_of_the_package_is_an_error_of_the_package():
         missing_module(ModuleNotFoundError('', name='manip_sim.ros.nothing'))
 
 
+@pytest.mark.parametrize('code, error', [
+    ('from manip_sim.experiments.policies import load_policy; load_policy("ros:/policy", None)',
+     "policy 'ros:/policy': no module 'rclpy': source ROS 2 Jazzy or a later one, or install it "
+     "from wheels with pip install 'manip_sim[jazzy]'"),
+    ('from manip_sim.cli.main import main; main(["check", "--against", "/joint_states"])',
+     "--against: no module 'rclpy': source ROS 2 Jazzy or a later one, or install it "
+     "from wheels with pip install 'manip_sim[jazzy]'"),
+    ('import manip_sim.env', "environments need gymnasium: pip install 'manip_sim[env]'")])
+def test_what_uses_an_optional_package_names_what_installs_it(code, error):
+    done = subprocess.run(
+        [sys.executable, '-c', 'import sys\nfor name in ("rclpy", "gymnasium"):'
+         f'\n    sys.modules[name] = None\n{code}'], capture_output=True, text=True, timeout=300.0)
+    assert done.stderr.splitlines()[-1].endswith(error)
+
+
 def test_without_mujoco_the_node_names_it_and_not_ros():
     done = subprocess.run([sys.executable, '-c', WITHOUT, 'mujoco'], capture_output=True,
                           text=True, timeout=60.0, check=False)

@@ -21,6 +21,7 @@ from manip_sim.models.files.urdf import is_urdf
 from manip_sim.models.loading import compile_spec, load_spec
 from manip_sim.models.world import skipped_geoms
 from manip_sim.quoting import pluralize, quoted, quoted_names
+from manip_sim.ros_environment import missing_module
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.episode_start import start_without_control
 from manip_sim.simulation.start_defect import find_start_defects, StartDefect
@@ -189,6 +190,6 @@ def states_on(topic: str) -> tuple[list[str], list[float]]:
     try:
         from manip_sim.cli.ros_commands import next_message
     except ImportError as error:
-        raise ManipSimError(f'--against needs ROS 2: {error}') from error
+        raise ManipSimError(f'--against: {missing_module(error)}') from error
     message = next_message(topic, 'sensor_msgs/msg/JointState')
     return list(message.name), list(message.position)

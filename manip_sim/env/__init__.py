@@ -9,7 +9,10 @@ It needs the extra ``env``: ``pip install manip_sim[env]``.
 
 from __future__ import annotations
 
-import gymnasium
+try:
+    import gymnasium
+except ImportError as error:
+    raise ImportError("environments need gymnasium: pip install 'manip_sim[env]'") from error
 
 from manip_sim.env.task_env import TaskEnv
 from manip_sim.env.task_vector_env import TaskVectorEnv

@@ -27,7 +27,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import describe_choices, ManipSimError, ModelError
 from manip_sim.quoting import one_line, quoted
-from manip_sim.ros_environment import check_ros_environment
+from manip_sim.ros_environment import check_ros_environment, missing_module
 from manip_sim.tasks import Episode
 from manip_sim.tasks.expert import Policy
 from manip_sim.tasks.observation import IMAGE, Observation
@@ -245,7 +245,7 @@ def load_policy(name: str, episode: Episode, limit_s: float = LIMIT_S, batched: 
         try:
             from manip_sim.experiments.ros_policy import RosPolicy
         except ImportError as error:
-            raise ModelError(f'policy {quoted(name)} needs ROS 2: {error}') from error
+            raise ModelError(f'policy {quoted(name)}: {missing_module(error)}') from error
         return RosPolicy(name.removeprefix(ROS), episode, limit_s)
     keys = _checked_interface(name, episode).get('observation')
     with _watched(name):
