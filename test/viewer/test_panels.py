@@ -395,6 +395,7 @@ def test_plots_leave_room_for_the_numbers_beside_them_alone(rig):
     panel.show(0.0, latest())
     plot = rig.gui.found['position [rad]']
     assert sum(plot.padding[1::2]) + plot.axes[1]['size'] <= 64
+    assert plot.axes[0]['label'] == 'time [s]'
     assert plot.scales['x']['range'] == (-10.0, 0.0)
     # What hardly moves is a flat line in the middle, not noise that fills the plot.
     low, high = (plot.scales['y']['range'][end]['soft'] for end in ('min', 'max'))

@@ -27,6 +27,7 @@ _HEIGHT = 170
 #: Above, right of, below and left of a plot; of the axis of its values [pixels].
 _PADDING = (8, 10, 0, 0)
 _AXIS = {'size': 52, 'gap': 3, 'ticks': {'size': 4}}
+_TIME_AXIS = {'label': 'time [s]', 'labelSize': 16, 'labelFont': '12px sans-serif', 'size': 34}
 #: The scale of a plot reaches so far either way at least, in its unit.
 _SMALL = 0.05
 _WRENCH = 'wrench'
@@ -73,7 +74,7 @@ def add_plot(gui: Any, title: str, labels: Sequence[str], data: tuple[FloatArray
     curves = [{'label': label, 'stroke': _COLORS[i % len(_COLORS)], 'width': 1.5}
               for i, label in enumerate(labels)]
     return gui.add_uplot(
-        data, ({'label': 's'}, *curves, *more), title=title, axes=({}, _AXIS),
+        data, ({'label': 's'}, *curves, *more), title=title, axes=(_TIME_AXIS, _AXIS),
         legend={'show': len(labels) <= len(_COLORS), 'live': False}, **options)
 
 
