@@ -156,7 +156,7 @@ def describe_unheard(node: Node) -> str:
     if not topics:
         return ''
     names = quoted_names(sorted(topics, key=lambda topic: (topic in _OF_EVERY_NODE, topic)), 3)
-    return (f'a node is found with an end of {names}, but none of its messages arrive: '
+    return (f'a node is found with an endpoint of {names}, but none of its messages arrive: '
             f'{SHARE_MEMORY}')
 
 

@@ -336,13 +336,14 @@ def test_nodes_with_another_shared_memory_are_told_of_with_the_remedy(client):
         if node.poll() is not None and (node.returncode == 77 or 'unshare' in node.stdout.read()):
             pytest.skip('no mounts of its own here')
         warning = next(line for line in node.stdout if '[WARN]' in line and 'too slow' not in line)
-        assert "a node is found with an end of '/joint_comand', '/right/target_twist'" in warning
+        assert "with an endpoint of '/joint_comand', '/right/target_twist'" in warning
         assert '--ipc host' in warning and 'UNKNOWN' not in warning
         done = subprocess.run(
             [sys.executable, '-m', 'manip_sim.cli', 'param', 'get', '/manip_sim', 'robot'],
             capture_output=True, text=True, timeout=100.0, check=False)
         assert done.returncode == 1
-        assert '; a node is found with an end of ' in done.stderr and '--ipc host' in done.stderr
+        assert '; a node is found with an endpoint of ' in done.stderr
+        assert '--ipc host' in done.stderr
 
 
 @pytest.mark.parametrize('topic, kind, meant', [
