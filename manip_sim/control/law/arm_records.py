@@ -148,15 +148,14 @@ IDLE, LEADS, EXERTS = range(3)
 RESTS, STREAMS, TWISTS, BRAKES = range(4)
 #: A target of an end effector: what the arm does, how it moves, ids of the end effector, of the
 #: frame that the goal stays fixed in, of the axes of a twist, of those of the springs of an
-#: impedance and of its wrench beside, and whether they are sites; whether the end
-#: effector is as near as it can come, whether its setpoints have come to rest, whether its way has
-#: begun, whether efforts are to be noted, how many solutions are, whether the arm is an impedance,
-#: whether that has a reference, whether somebody waits for the target to be reached; whether
-#: ranges of joints held the end effector, it could hardly move, it was off its way, and limits
-#: slowed it down when Python looked last, and whether nothing has changed in that; settings of the
-#: spring and of the
-#: impedance; share of the acceleration of a stream; when the kinematics are solved next,
-#: for how long, and when the target was looked at last [s].
+#: impedance and of its wrench beside, and whether they are sites; whether the end effector is as
+#: near as it can come, whether its setpoints have come to rest, whether its way has begun, whether
+#: efforts are to be noted, how many solutions are, whether the arm is an impedance, whether that
+#: has a reference, whether somebody waits for the target to be reached; whether ranges of joints
+#: held the end effector, it could hardly move, it was off its way, and limits slowed it down when
+#: Python looked last, and whether nothing has changed in that; settings of the spring and of the
+#: impedance; share of the acceleration of a stream; when the kinematics are solved next, for how
+#: long, and when the target was looked at last [s].
 TASK = np.dtype([
     *((name, np.int64) for name in (
         'acts', 'follows', 'tip', 'tip_is_site', 'anchor', 'anchor_is_site', 'axes',
@@ -166,10 +165,11 @@ TASK = np.dtype([
     *((name, np.float64) for name in (
         'stiffness', 'damping', 'linear_velocity', 'angular_velocity', 'damping_ratio',
         'null_stiffness', 'smooth', 'solve_s', 'interval_s', 'seen_s'))], align=True)
-#: Outcome of a solution: when it was found [s], which share of the wanted motion is made,
-#: how far the end effector is off its way [m]; whether it has reached the target, whether it comes
-#: near enough to it, whether a motion is wanted in a direction in which it can hardly move,
-#: whether ranges of joints keep it from doing more, and whether velocity limits slow it down.
+#: Outcome of a solution: when it was found [s], which share of the wanted motion is made, how far
+#: the end effector is off its way [m]; whether it has reached the target, whether it comes near
+#: enough to it, whether a motion is wanted in a direction in which it can hardly move, whether
+#: ranges of joints keep it from doing more, and whether velocity limits slow down a twist, or a
+#: stream that gets late so.
 FACTS = np.dtype([
     *((name, np.float64) for name in ('now_s', 'progress', 'aside')),
     *((name, np.int64) for name in ('reached', 'close', 'singular', 'held', 'slowed'))],
