@@ -370,6 +370,20 @@ def _command(kind, worlds, alone, period, steps):
             alone.robot.parse_cartesian.action('right', actions), period_s=period_s)
 
 
+@pytest.mark.parametrize('kind', STREAMED)
+def test_streams_go_on_while_their_messages_come(kind, at_once):
+    both = [Simulation(_compose(kind == 'driven')) for _ in range(2)]
+    for simulation in both:
+        _prepare(simulation.robot, kind)
+    for period in range(40, 71):
+        if period == 46:
+            at_once.clear()
+        _follow(kind, *both, period, STEPS * 0.002)
+        for simulation in both:
+            simulation.advance(STEPS)
+    assert len(at_once) < 12  # So often Python has begun a period, of 50.
+
+
 @pytest.mark.full
 @pytest.mark.parametrize('kind', ALL_KINDS)
 def test_whatever_comes_between_periods_that_go_on_acts_as_by_python(kind, at_once):
