@@ -81,6 +81,7 @@ def _flag(*names: str, **settings: Any) -> _Argument:
 
 
 _TOPIC = _argument('name', metavar='TOPIC')
+_SERVICE = _argument('name', metavar='SERVICE')
 _NODE = _argument('node', metavar='NODE', help='such as /manip_sim')
 _PARAMETER = _argument('name', metavar='NAME')
 _VALUES = _argument('values', nargs='?', default='{}', metavar='VALUES',
@@ -94,6 +95,7 @@ COMMANDS: dict[str, tuple[str, dict[str, tuple[str, tuple[_Argument, ...]]]]] = 
         'list': ('list the topics', _LISTED),
         'info': ('print the type of a topic, and how many publish and subscribe', (
             _TOPIC, _flag('-v', '--verbose', help='with nodes and quality of service'))),
+        'type': ('print the type of a topic', (_TOPIC,)),
         'echo': ('print messages', (
             _TOPIC, _argument('type', nargs='?', metavar='TYPE', help='(default: as published)'),
             _flag('--once', help='print one message'),
@@ -121,12 +123,16 @@ COMMANDS: dict[str, tuple[str, dict[str, tuple[str, tuple[_Argument, ...]]]]] = 
             _NODE, _PARAMETER, _flag('--hide-type', help='the value only'))),
         'set': ('set a parameter', (
             _NODE, _PARAMETER, _argument('value', metavar='VALUE', help='in YAML'))),
-        'dump': ('print all parameters as a parameter file', (_NODE,))}),
+        'dump': ('print all parameters as a parameter file', (_NODE,)),
+        'load': ('set the parameters of a file; exit code 1 if some cannot be set', (
+            _NODE, _argument('file', metavar='FILE', help='as dump prints it'),
+            _flag('--no-use-wildcard', help='leave out what is for all nodes')))}),
     'service': ('list and call services, as ros2 service', {
         'list': ('list the services', _LISTED),
+        'type': ('print the type of a service', (_SERVICE,)),
         'call': ('call a service; exit code 1 if it answers with success: false', (
-            _argument('name', metavar='SERVICE'),
-            _argument('type', metavar='TYPE', help='such as std_srvs/srv/Trigger'), _VALUES))})}
+            _SERVICE, _argument('type', metavar='TYPE', help='such as std_srvs/srv/Trigger'),
+            _VALUES))})}
 
 
 def add_verbs(parser: argparse.ArgumentParser, command: str) -> None:

@@ -18,6 +18,7 @@ import itertools
 import math
 import operator
 import os
+from pathlib import Path
 import re
 import statistics
 import sys
@@ -29,7 +30,8 @@ import rclpy
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
-from rclpy.parameter import get_parameter_value, parameter_value_to_python
+from rclpy.parameter import (
+    get_parameter_value, parameter_dict_from_yaml_file, parameter_value_to_python)
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -75,8 +77,9 @@ def run_verb(options: argparse.Namespace) -> int:
     """
     verbs: Mapping[str, Callable[[_Graph, argparse.Namespace], int | None]] = {
         'topic list': _list_names, 'topic info': _info, 'topic echo': _echo, 'topic hz': _hz,
-        'topic pub': _publish, 'param list': _list_parameters, 'param describe': _describe,
-        'param get': _get, 'param set': _set, 'param dump': _dump, 'service list': _list_names,
+        'topic pub': _publish, 'topic type': _type, 'param list': _list_parameters,
+        'param describe': _describe, 'param get': _get, 'param set': _set, 'param dump': _dump,
+        'param load': _load, 'service list': _list_names, 'service type': _type,
         'service call': _call}
     try:
         with _graph() as graph:
@@ -232,6 +235,12 @@ def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
              for name in names]
     for line in [str(len(names))] if options.count else lines:
         _say(line)
+
+
+def _type(graph: _Graph, options: argparse.Namespace) -> None:
+    present = graph.topics if options.command == 'topic' else graph.services
+    for type_name in present()[graph.find(options.command, options.name, present)]:
+        _say(type_name)
 
 
 def _info(graph: _Graph, options: argparse.Namespace) -> None:
@@ -469,6 +478,27 @@ def _dump(graph: _Graph, options: argparse.Namespace) -> None:
         branch[left] = _value(value)
     _say(yaml.dump({graph.node.resolve_topic_name(options.node): {'ros__parameters': tree}},
                    default_flow_style=False))
+
+
+def _load(graph: _Graph, options: argparse.Namespace) -> int:
+    client, name = _parameters(graph, options.node), graph.node.resolve_topic_name(options.node)
+    try:
+        sections = yaml.safe_load(Path(options.file).read_text())
+        of_all = '/**' in sections and not options.no_use_wildcard
+        node = name if name in sections or not of_all else '/**'
+        parameters = [*parameter_dict_from_yaml_file(options.file, of_all, [node]).values()]
+    except (RuntimeError, OSError, ValueError, TypeError, AttributeError, yaml.YAMLError) as error:
+        raise ManipSimError(f'{options.file}: {one_line(str(error), 200)}') from error
+    results = graph.answer(client.set_parameters(parameters), options.node).results
+    for parameter, result in zip(parameters, results, strict=True):
+        outcome = (f'Set parameter {parameter.name} '
+                   f'{"successful" if result.successful else "failed"}'
+                   + (f': {one_line(result.reason, 2000)}' if result.reason else ''))
+        if result.successful:
+            _say(outcome)
+        else:
+            print(outcome, file=sys.stderr)
+    return int(not all([result.successful for result in results]))
 
 
 def _value(value: Any) -> Any:

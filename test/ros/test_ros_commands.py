@@ -60,6 +60,11 @@ DONE = [
     ('param set /manip_sim control_mode.arm velocity', '^Set parameter successful\n$'),
     ('param dump manip_sim', r'^/manip_sim:\n  ros__parameters:\n    arena: table\n(.*\n)*'
      r'    control_mode:\n      arm: velocity\n'),
+    ('param load /manip_sim two.yaml', r'(?s)^Set parameter control_mode.arm successful\n'
+     r'.*Set parameter cartesian_stiffness.right successful\n$'),
+    ('param load manip_sim all.yaml', '^Set parameter control_mode.arm successful\n$'),
+    ('topic type /joint_states', '^sensor_msgs/msg/JointState\n$'),
+    ('service type manip_sim/reset', '^std_srvs/srv/Trigger\n$'),
     ('service list', r'(?m)^/manip_sim/reset$'),
     ('service list -t', r'(?m)^/manip_sim/reset \[std_srvs/srv/Trigger\]$'),
     ('service call /manip_sim/reset std_srvs/srv/Trigger',
@@ -98,12 +103,33 @@ WRONG = [
      "'control_mode.arm': unknown value 'veloc': did you mean 'velocity'"),
     ('param set /manip_sim seed 99999999999999999999', 1, 'cannot use the value'),
     ('param list /manip_sim --filter (', 1, '--filter'),
+    ('param load /manip_sim two.yamel', 1, 'two.yamel: [Errno 2] No such file'),
+    ('param load /manip_sim other.yaml', 1, 'other.yaml: Param file does not contain'),
+    ('param load /manip_sim all.yaml --no-use-wildcard', 1, 'all.yaml: Param file does not'),
+    ('param load /manip_sim fast.yaml', 1, 'Set parameter speed_scaling failed: Parameter'),
+    ('param load /manip_sim torn.yaml', 1, 'torn.yaml: while parsing'),
+    ('topic type /joint_stats', 1, "unknown topic '/joint_stats': did you mean '/joint_states'"),
+    ('service type /manip_sim/rest', 1, "did you mean '/manip_sim/reset'"),
     ('service call /manip_sim/rest std_srvs/srv/Trigger', 1, "did you mean '/manip_sim/reset'"),
     ('service call /manip_sim/pause std_srvs/srv/Trigger', 1, '/manip_sim/pause has the type '
      'std_srvs/srv/SetBool, not std_srvs/srv/Trigger'),
     ('service call /manip_sim/pause std_srvs/srv/SetBool {data: 3}', 1, 'field data of '
      'std_srvs/srv/SetBool_Request is boolean'),
     ('topic', 2, 'VERB'), ('topic ecko', 2, "invalid choice: 'ecko'")]
+#: Parameter files in the working directory.
+FILES = {
+    'two.yaml': '/**:\n  ros__parameters: {control_mode.arm: effort}\n'
+                '/manip_sim:\n  ros__parameters:\n    cartesian_stiffness:\n'
+                '      right: [300.0, 300.0, 300.0, 20.0, 20.0, 20.0]\n',
+    'all.yaml': '/**:\n  ros__parameters: {control_mode.arm: velocity}\n',
+    'other.yaml': '/other:\n  ros__parameters: {seed: 1}\n', 'torn.yaml': '/manip_sim: [1',
+    'fast.yaml': '/manip_sim:\n  ros__parameters: {speed_scaling: 2.0}\n'}
+
+
+@pytest.fixture(autouse=True)
+def _files(tmp_path):
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
 
 
 def words_of(line):
