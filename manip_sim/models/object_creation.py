@@ -115,8 +115,9 @@ def check_object_names(objects: Iterable[ObjectModel]) -> None:
     for item in objects:
         first = by_name.setdefault(item.name, item)
         if first is not item:
-            raise ModelError(f"two objects have the name '{item.name}': {first.origin} and "
-                             f'{item.origin}')
+            origins = ' and '.join(dict.fromkeys([first.origin, item.origin]))
+            raise ModelError(f"two objects have the name '{item.name}' ({origins}): give one of "
+                             'them another name, or leave it out')
 
 
 def load_objects(file: ObjectFile, files: Files | None = None) -> list[ObjectModel]:
