@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+from weakref import WeakValueDictionary
 
 from builtin_interfaces.msg import Time
 import numpy as np
@@ -15,7 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from manip_sim.arrays import FloatArray
-from manip_sim.channels.contents import Channel, Fields
+from manip_sim.channels.contents import Channel, Fields, Make, Read
 from manip_sim.channels.kinds import (
     clock_channel, instrument_channels, lidar_channel, object_channels, offered_channel,
     robot_channels)
@@ -38,20 +39,24 @@ Robots = Mapping[Scope, SimulatedRobot]
 
 
 class Publication:
-    """The publisher of a channel."""
+    """
+    The publisher of a channel.
 
-    def __init__(self, context: NodeContext, channel: Channel) -> None:
+    :param message: of the channel; channels with the same one publish the same
+    """
+
+    def __init__(self, context: NodeContext, channel: Channel, message: SerializedMessage) -> None:
         self._context, self._channel = context, channel
         self.output = create_output(context, channel.topic)
-        self._present = channel.read, _serialized(channel), channel.every
+        self._present = channel.read, message, channel.every
 
-    def follow(self, channel: Channel) -> None:
+    def follow(self, channel: Channel, message: SerializedMessage) -> None:
         """Publish another channel of the same topic from now on; any thread may call this."""
-        zeros, before, message = np.zeros(channel.count), self._channel, self._present[1]
+        zeros, before = np.zeros(channel.count), self._channel
         is_alike = before.count == channel.count and before.fields(0, zeros) == channel.fields(
             0, zeros)
         self._channel = channel
-        self._present = channel.read, message if is_alike else _serialized(channel), channel.every
+        self._present = channel.read, self._present[1] if is_alike else message, channel.every
 
     def prepare(self) -> None:
         """Prepare the first message, in any thread."""
@@ -61,13 +66,21 @@ class Publication:
         """Return whether there are subscribers, and messages for them."""
         return self.output.has_subscribers
 
-    def publish(self, simulation: Simulation) -> None:
-        """Publish the present instant, if it is due."""
+    def publish(self, simulation: Simulation, made: dict[SerializedMessage, Any]) -> None:
+        """
+        Publish the present instant, if it is due.
+
+        :param made: what has been published of this instant
+        """
         read, message, every = self._present
         if every == 1 or self._context.thread.is_due(every):
-            numbers = read(simulation)
-            if numbers is not None:
-                self.output.publish(message.at(simulation.time_ns, numbers))
+            content = made.get(message)
+            if content is None:
+                numbers = read(simulation)
+                if numbers is None:
+                    return
+                content = made[message] = message.at(simulation.time_ns, numbers)
+            self.output.publish(content)
 
 
 class OfferedPublication(Publication):
@@ -78,7 +91,7 @@ class OfferedPublication(Publication):
     def look(self) -> bool:
         return self._works and super().look()
 
-    def publish(self, simulation: Simulation) -> None:
+    def publish(self, simulation: Simulation, made: dict[SerializedMessage, Any]) -> None:
         if not self._works:
             return
         try:
@@ -118,6 +131,9 @@ class ChannelPublishers(Feature):
                  every: int = 1) -> None:
         self._context, self._channels = context, channels
         self._all: dict[str, Publication] = {}
+        #: Those of present channels, by what makes them.
+        self._messages: WeakValueDictionary[tuple[Read, Make], SerializedMessage] = (
+            WeakValueDictionary())
         #: Channels whose exact values are not published.
         self._alone: list[Channel] = []
         self._subscribed: tuple[Publication, ...] = ()
@@ -162,15 +178,15 @@ class ChannelPublishers(Feature):
         before, table = self._all, self._context.table
         present: dict[str, Publication] = {}
         for channel in self._present(robots):
-            name = channel.topic.name
+            name, message = channel.topic.name, self._message(channel)
             if name in before:
                 present[name] = before[name]
-                present[name].follow(channel)
+                present[name].follow(channel, message)
             else:
                 if not any(row.name == name for row in table):
                     table.append(channel.topic)
                 present[name] = (Publication if channel.write is None else OfferedPublication)(
-                    self._context, channel)
+                    self._context, channel, message)
         self._all = present
         gone = before.keys() - present.keys()
         if gone:
@@ -182,6 +198,13 @@ class ChannelPublishers(Feature):
         if self._context.is_built:  # Before, the first state should not wait for it.
             self._prepare()
 
+    def _message(self, channel: Channel) -> SerializedMessage:
+        content = channel.read, channel.make
+        message = self._messages.get(content)
+        if message is None:
+            message = self._messages[content] = _serialized(channel)
+        return message
+
     def look(self) -> bool:
         """Check which channels have subscribers, and return whether any has."""
         self._subscribed = tuple(publisher for publisher in self._all.values() if publisher.look())
@@ -189,8 +212,9 @@ class ChannelPublishers(Feature):
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the present instant of channels that had subscribers at the last check."""
+        made: dict[SerializedMessage, Any] = {}
         for publication in self._subscribed:
-            publication.publish(simulation)
+            publication.publish(simulation, made)
 
 
 def robot_states(context: NodeContext) -> ChannelPublishers:
