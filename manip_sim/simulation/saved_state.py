@@ -133,7 +133,7 @@ def _numbers(gripper: GripperModel) -> dict[str, Any]:
 
 
 #: Version of the layout of states; 1 were those whose control was pickled.
-LAYOUT_VERSION = 2
+LAYOUT_VERSION = 3
 #: Numbers of a model that control changes: gains of servos and of grippers.
 _GAINS = ('actuator_gainprm', 'actuator_biasprm', 'actuator_forcerange', 'actuator_forcelimited')
 
