@@ -150,7 +150,7 @@ def streams(name: str, steps: int) -> dict[str, Callable[[], object]]:
                     robot.apply(
                         arm.pose('right', pose.position + way, pose.quat_xyzw) if what == 'poses'
                         else arm.twist('right', way, [0.0] * 3) if what == 'twists'
-                        else robot.parse.twist(*way[:2], 0.1), period_s=steps * step_s)
+                        else robot.parse.twist(way[0], way[1], 0.1), period_s=steps * step_s)
                     due_s += 1.0 / rate_hz
                 time_s += steps * step_s
                 simulation.advance(steps)
