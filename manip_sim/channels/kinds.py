@@ -70,13 +70,13 @@ def robot_channels(robot: SimulatedRobot, scope: Scope, prefix: str = '',
 
 
 def _atomic(robot: SimulatedRobot, part: str) -> str:
-    """Return the part that another one consists of, itself if that is several."""
+    """Return the only atomic part of a part, or the part itself if it has several."""
     atomic = robot.parts[part].atomic
     return atomic[0] if len(atomic) == 1 else part
 
 
 def _joint_state(robot: SimulatedRobot, part: str | None) -> tuple[Read, Read, Make, int]:
-    """Return what reads the joints of a part, measured and exactly, and their messages."""
+    """Return measured and exact reader of a part, maker of its messages and their count."""
     names, reader = robot.parts[part].joints if part else robot.joint_names, robot.reader
     return (_reading(reader.measured, part), _reading(reader.exact, part),
             contents.joint_state(names), 3 * len(names))

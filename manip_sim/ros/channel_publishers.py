@@ -70,7 +70,7 @@ class Publication:
         """
         Publish the present instant, if it is due.
 
-        :param made: what has been published of this instant
+        :param made: contents of this instant that publishers of the same messages have published
         """
         read, message, every = self._present
         if every == 1 or self._context.thread.is_due(every):
@@ -131,7 +131,7 @@ class ChannelPublishers(Feature):
                  every: int = 1) -> None:
         self._context, self._channels = context, channels
         self._all: dict[str, Publication] = {}
-        #: Those of present channels, by what makes them.
+        #: Messages of the present channels, by reader and maker.
         self._messages: WeakValueDictionary[tuple[Read, Make], SerializedMessage] = (
             WeakValueDictionary())
         #: Channels whose exact values are not published.
