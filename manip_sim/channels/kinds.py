@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -47,16 +47,16 @@ def robot_channels(robot: SimulatedRobot, scope: Scope, prefix: str = '',
     :param controller_type: of the states of controllers, as ``contents.controller_state``
     """
     channels = []
-    # Parts of the same joints, as those of a single arm, have the same messages.
-    state = cache(partial(_joint_state, robot))
-    controllers = cache(partial(_controller_state, robot, controller_type))
     for row in topics_of(robot.parts, twist=True):
         topic, part, sensing = replace(row, name=scope.topic(row.name)), row.of, robot.sensing
         if row.direction != PUBLISHED:
             continue
         if row.by == 'joints':
-            read, exact, make, count = state(_atomic(robot, part) if part else None)
-            channels.append(Channel(topic, read, make, count).beside(exact, row, scope, sensing))
+            names = robot.parts[part].joints if part else robot.joint_names
+            channel = Channel(topic, _reading(robot.reader.measured, part or None),
+                              contents.joint_state(names), 3 * len(names))
+            channels.append(channel.beside(
+                _reading(robot.reader.exact, part or None), row, scope, sensing))
         elif row.by in _ARM:
             make, count = _ARM[row.by]
             frame = ROOT if row.by in ('pose', 'twist') else robot.end_effectors[part].wrench_frame
@@ -64,29 +64,11 @@ def robot_channels(robot: SimulatedRobot, scope: Scope, prefix: str = '',
             channel = Channel(topic, _reading(sensing.measured, name), make, count, prefix + frame)
             channels.append(channel.beside(_reading(sensing.exact, name), row, scope, sensing))
         elif row.by == 'controllers':
-            channels.append(Channel(replace(topic, type=controller_type),
-                                    *controllers(_atomic(robot, part))))
+            joints = robot.controller_state(part).names
+            channels.append(Channel(
+                replace(topic, type=controller_type), partial(_controllers, robot, part),
+                contents.controller_state(joints, controller_type), contents.ROWS * len(joints)))
     return channels
-
-
-def _atomic(robot: SimulatedRobot, part: str) -> str:
-    """Return the only atomic part of a part, or the part itself if it has several."""
-    atomic = robot.parts[part].atomic
-    return atomic[0] if len(atomic) == 1 else part
-
-
-def _joint_state(robot: SimulatedRobot, part: str | None) -> tuple[Read, Read, Make, int]:
-    """Return measured and exact reader of a part, maker of its messages and their count."""
-    names, reader = robot.parts[part].joints if part else robot.joint_names, robot.reader
-    return (_reading(reader.measured, part), _reading(reader.exact, part),
-            contents.joint_state(names), 3 * len(names))
-
-
-def _controller_state(robot: SimulatedRobot, controller_type: str, part: str
-                      ) -> tuple[Read, Make, int]:
-    joints = robot.controller_state(part).names
-    return (partial(_controllers, robot, part),
-            contents.controller_state(joints, controller_type), contents.ROWS * len(joints))
 
 
 def _reading(read: Callable[..., FloatArray], name: str | None) -> Read:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
-from weakref import WeakValueDictionary
 
 from builtin_interfaces.msg import Time
 import numpy as np
@@ -16,7 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
 from manip_sim.arrays import FloatArray
-from manip_sim.channels.contents import Channel, Fields, Make, Read
+from manip_sim.channels.contents import Channel, Fields
 from manip_sim.channels.kinds import (
     clock_channel, instrument_channels, lidar_channel, object_channels, offered_channel,
     robot_channels)
@@ -39,24 +38,20 @@ Robots = Mapping[Scope, SimulatedRobot]
 
 
 class Publication:
-    """
-    The publisher of a channel.
+    """The publisher of a channel."""
 
-    :param message: of the channel; channels with the same one publish the same
-    """
-
-    def __init__(self, context: NodeContext, channel: Channel, message: SerializedMessage) -> None:
+    def __init__(self, context: NodeContext, channel: Channel) -> None:
         self._context, self._channel = context, channel
         self.output = create_output(context, channel.topic)
-        self._present = channel.read, message, channel.every
+        self._present = channel.read, _serialized(channel), channel.every
 
-    def follow(self, channel: Channel, message: SerializedMessage) -> None:
+    def follow(self, channel: Channel) -> None:
         """Publish another channel of the same topic from now on; any thread may call this."""
-        zeros, before = np.zeros(channel.count), self._channel
+        zeros, before, message = np.zeros(channel.count), self._channel, self._present[1]
         is_alike = before.count == channel.count and before.fields(0, zeros) == channel.fields(
             0, zeros)
         self._channel = channel
-        self._present = channel.read, self._present[1] if is_alike else message, channel.every
+        self._present = channel.read, message if is_alike else _serialized(channel), channel.every
 
     def prepare(self) -> None:
         """Prepare the first message, in any thread."""
@@ -66,21 +61,13 @@ class Publication:
         """Return whether there are subscribers, and messages for them."""
         return self.output.has_subscribers
 
-    def publish(self, simulation: Simulation, made: dict[SerializedMessage, Any]) -> None:
-        """
-        Publish the present instant, if it is due.
-
-        :param made: contents of this instant that publishers of the same messages have published
-        """
+    def publish(self, simulation: Simulation) -> None:
+        """Publish the present instant, if it is due."""
         read, message, every = self._present
         if every == 1 or self._context.thread.is_due(every):
-            content = made.get(message)
-            if content is None:
-                numbers = read(simulation)
-                if numbers is None:
-                    return
-                content = made[message] = message.at(simulation.time_ns, numbers)
-            self.output.publish(content)
+            numbers = read(simulation)
+            if numbers is not None:
+                self.output.publish(message.at(simulation.time_ns, numbers))
 
 
 class OfferedPublication(Publication):
@@ -91,7 +78,7 @@ class OfferedPublication(Publication):
     def look(self) -> bool:
         return self._works and super().look()
 
-    def publish(self, simulation: Simulation, made: dict[SerializedMessage, Any]) -> None:
+    def publish(self, simulation: Simulation) -> None:
         if not self._works:
             return
         try:
@@ -131,9 +118,6 @@ class ChannelPublishers(Feature):
                  every: int = 1) -> None:
         self._context, self._channels = context, channels
         self._all: dict[str, Publication] = {}
-        #: Messages of the present channels, by reader and maker.
-        self._messages: WeakValueDictionary[tuple[Read, Make], SerializedMessage] = (
-            WeakValueDictionary())
         #: Channels whose exact values are not published.
         self._alone: list[Channel] = []
         self._subscribed: tuple[Publication, ...] = ()
@@ -178,15 +162,15 @@ class ChannelPublishers(Feature):
         before, table = self._all, self._context.table
         present: dict[str, Publication] = {}
         for channel in self._present(robots):
-            name, message = channel.topic.name, self._message(channel)
+            name = channel.topic.name
             if name in before:
                 present[name] = before[name]
-                present[name].follow(channel, message)
+                present[name].follow(channel)
             else:
                 if not any(row.name == name for row in table):
                     table.append(channel.topic)
                 present[name] = (Publication if channel.write is None else OfferedPublication)(
-                    self._context, channel, message)
+                    self._context, channel)
         self._all = present
         gone = before.keys() - present.keys()
         if gone:
@@ -198,13 +182,6 @@ class ChannelPublishers(Feature):
         if self._context.is_built:  # Before, the first state should not wait for it.
             self._prepare()
 
-    def _message(self, channel: Channel) -> SerializedMessage:
-        content = channel.read, channel.make
-        message = self._messages.get(content)
-        if message is None:
-            message = self._messages[content] = _serialized(channel)
-        return message
-
     def look(self) -> bool:
         """Check which channels have subscribers, and return whether any has."""
         self._subscribed = tuple(publisher for publisher in self._all.values() if publisher.look())
@@ -212,9 +189,8 @@ class ChannelPublishers(Feature):
 
     def publish(self, simulation: Simulation) -> None:
         """Publish the present instant of channels that had subscribers at the last check."""
-        made: dict[SerializedMessage, Any] = {}
         for publication in self._subscribed:
-            publication.publish(simulation, made)
+            publication.publish(simulation)
 
 
 def robot_states(context: NodeContext) -> ChannelPublishers:

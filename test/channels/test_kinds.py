@@ -100,13 +100,3 @@ def test_an_imu_without_an_orientation_says_so_by_its_covariance(two):
 def test_the_clock_has_whole_seconds_and_the_nanoseconds_that_are_left():
     fields = clock_channel().fields(12_000_000_034, np.empty(0))
     assert fields == {'clock': {'sec': 12, 'nanosec': 34}}
-
-
-def test_a_single_arm_has_the_same_channels_by_both_names_and_each_of_two_its_own():
-    for robot, names, same in (('Panda', ('arm', 'right'), True),
-                               ('Baxter', ('right', 'left'), False)):
-        channels = {channel.topic.name: channel for channel in robot_channels(
-            Simulation(compose(robot)).robot, Scope())}
-        for topic in ('joint_states', 'controller_state'):
-            one, other = (channels[f'{name}/{topic}'] for name in names)
-            assert ((one.read, one.make) == (other.read, other.make)) is same

@@ -217,27 +217,6 @@ def test_a_topic_is_read_and_published_while_somebody_listens_and_asked_at_a_loo
     assert len(publisher.published) == len(reads) == 5
 
 
-def test_topics_of_the_same_numbers_are_read_once_for_each_state(publish):
-    reads = []
-
-    def read(_):
-        reads.append(None)
-        return np.arange(3.0) + len(reads)
-    arm, other = (Channel(replace(BY_NAME['<part>/joint_states'], name=f'{part}/joint_states'),
-                          read, make, 3) for part, make in zip(
-        ('arm', 'other'), 2 * [contents.joint_state(['a'])]))
-    publisher, topics = publish(arm)
-    topics._channels = lambda _: [[arm, other]]
-    topics.world_changed()
-    publisher.count = 1
-    topics.look()
-    for count in (1, 2):
-        topics.publish(Instant())
-        assert len(reads) == count
-    first, same, second, same_again = publisher.published
-    assert first == same != second == same_again
-
-
 def test_a_topic_whose_messages_change_has_the_new_ones_on_the_same_publisher(publish):
     row = BY_NAME['actuators/states']
     present = [Channel(row, lambda _: np.arange(3.0), contents.joint_state(['a']), 3)]
