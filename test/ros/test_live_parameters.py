@@ -217,8 +217,7 @@ def test_a_timeout_that_was_set_to_its_default_stays_set_in_dumps_and_saved_stat
 
 def test_a_mode_that_cannot_be_used_leaves_all_parameters_at_what_acts(serve, monkeypatch):
     node = serve(robot='Baxter', start_paused=True)
-    robot = node.simulation.robot
-    monkeypatch.setattr(robot, 'set_control_mode', lambda part, mode: 1 / 0)
+    monkeypatch.setattr(node.simulation.robot.joints, 'set_mode', lambda *_: 1 / 0)
     result = node.set_parameters_atomically([Parameter('control_mode.arm', value='effort')])
     assert (result.successful, result.reason) == (False, 'division by zero')
     assert_agree(node)
