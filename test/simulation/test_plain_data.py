@@ -299,5 +299,5 @@ def test_the_state_of_a_gripper_of_a_user_is_restored(way):
 
 def test_a_state_with_another_version_of_the_layout_is_rejected(simulation):
     state = replace(simulation.save(), layout_version=1)
-    with pytest.raises(ModelError, match='version 1 of the layout of states, .* has version 2'):
+    with pytest.raises(ModelError, match='version 1 of the layout of states, .* has version 3'):
         simulation.restore(state)
