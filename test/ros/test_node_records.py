@@ -152,6 +152,7 @@ def test_named_topics_are_recorded_for_a_time(sim_process, record, client, tmp_p
     assert errors == f'manip_sim: {path} already exists and is not overwritten\n'
 
 
+@pytest.mark.full
 def test_a_record_without_a_node_says_what_to_check(record, tmp_path):
     command = record(tmp_path / 'none.mcap')
     assert command.communicate(timeout=WAIT_S)[1].startswith(
