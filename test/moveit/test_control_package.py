@@ -85,20 +85,20 @@ def test_wrenches_and_imus_are_broadcast_in_the_frame_of_the_sensor(package):
               for settings in package.controllers.values()
               if 'sensor_name' in settings['ros__parameters']}
     assert frames.keys() == sensors
-    assert bool(sensors) == ('ros2_control_plugin' in package.given)
+    assert bool(sensors) == ('ros2_control_plugin' in package.parameters)
     assert set(frames.values()) <= {link.get('name') for link in package.urdf.findall('link')}
 
 
 def test_the_tag_names_the_rate_of_a_sensor_that_is_slower_than_the_states(package):
     rates = {sensor.get('name'): param.text for sensor in package.urdf.iter('sensor')
              for param in sensor.findall('param') if param.get('name') == 'rate'}
-    assert rates == ({'robot0_right_imu': '10.0'} if 'sensors' in package.given else {})
+    assert rates == ({'robot0_right_imu': '10.0'} if 'sensors' in package.parameters else {})
 
 
 def test_the_node_is_started_as_the_package_was_written_for(package):
     node = yaml.safe_load((package.folder / 'config' / 'sim_node.yaml').read_text())
     parameters = node['/**']['ros__parameters']
-    assert parameters.items() >= {**package.given, 'ros2_control_tag': True}.items()
+    assert parameters.items() >= {**package.parameters, 'ros2_control_tag': True}.items()
     plugin = package.urdf.find('ros2_control/hardware/plugin').text
     assert plugin == parameters['ros2_control_plugin']
     bringup = launched(package, 'bringup')
