@@ -57,6 +57,16 @@ class FreeRun:
                     theirs.append(_steps_per_s(loop, _OURS_S * scale) / bare)
         return ours, theirs
 
+    def bound(self, every: int, rounds: int) -> list[float]:
+        """Return the ratios of physics and publication alone, in one thread, for one client."""
+        scale, ratios = self._settings.scale, []
+        with watched_loop(ONE_CLIENT, self._settings.wait_scale, self._model, every, False,
+                          prepared=True) as loop:
+            for _ in range(rounds):
+                fast = _steps_per_s(loop, _OURS_S * scale)
+                ratios.append(fast / self._bare.steps_per_s(_BARE_S * scale, every))
+        return ratios
+
 
 def _steps_per_s(watched: Watched, duration_s: float) -> float:
     window = watched.watch(duration_s)
@@ -73,6 +83,9 @@ def measure(settings: Settings) -> Iterator[Figure]:
                 ours, theirs = run.ratios(topics, every, settings.rounds, topics != ('all',))
                 yield Figure('free', f'`free`, {who}, {words}, of bare `mj_step`', ours,
                              target=Target('>=', target), plain=theirs)
+                if topics == ONE_CLIENT:
+                    yield Figure('free', f'physics and prepared messages alone, {who}, {words}',
+                                 run.bound(every, settings.rounds))
 
 
 def measure_rates(settings: Settings) -> Iterator[Figure]:

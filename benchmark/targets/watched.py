@@ -99,9 +99,9 @@ def watched_node(topics: tuple[str, ...], scale: float, *parameters: str) -> Wat
     return Watched(start_node(*parameters), topics, scale)
 
 
-def watched_loop(topics: tuple[str, ...], scale: float, model: str, every: int, realtime: bool
-                 ) -> Watched:
+def watched_loop(topics: tuple[str, ...], scale: float, model: str, every: int, realtime: bool,
+                 prepared: bool = False) -> Watched:
     """Start the plain loop with a model file, and a listener."""
     loop = start_script('plain_loop.py', model, str(every), str(int(realtime)),
-                        piped=False, apart=True)
+                        *(['prepared'] if prepared else []), piped=False, apart=True)
     return Watched(loop, topics, scale, apart=True)
