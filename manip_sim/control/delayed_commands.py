@@ -12,7 +12,7 @@ from typing import NamedTuple
 from manip_sim.control.cartesian.cartesian_commands import GuardedTwist
 from manip_sim.control.commands import (
     Command, CommandHandle, GripperCommand, JointTrajectory, Status)
-from manip_sim.sensing.delays import InTransit
+from manip_sim.sensing.robot_sensing import InTransit
 
 
 class _Waiting(NamedTuple):

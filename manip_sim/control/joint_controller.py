@@ -31,8 +31,7 @@ from manip_sim.control.user_laws import Law, LAWS, PREFIX
 from manip_sim.control.velocity_stream import BaseTwists
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
-from manip_sim.physics.end_effectors import EndEffectorReader
-from manip_sim.physics.parts import Part
+from manip_sim.physics.parts import EndEffectorReader, Part
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics
 from manip_sim.validation import clamp

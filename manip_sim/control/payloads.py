@@ -15,7 +15,7 @@ from manip_sim.arrays import IntArray
 from manip_sim.control.servos import Servos
 from manip_sim.derived import Derived
 from manip_sim.errors import UnknownNameError
-from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.parts import EndEffectorReader
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics, WorldArrays
 

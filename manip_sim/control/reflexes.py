@@ -27,9 +27,8 @@ from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.physics.efforts import ActuatorEfforts
-from manip_sim.physics.end_effectors import EndEffectorReader
 from manip_sim.physics.external_wrench import RobotForces, subtree_size
-from manip_sim.physics.parts import atomic_parts, Part
+from manip_sim.physics.parts import atomic_parts, EndEffectorReader, Part
 from manip_sim.physics.physics import Physics
 from manip_sim.quoting import format_value
 from manip_sim.validation import (

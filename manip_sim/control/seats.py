@@ -24,7 +24,7 @@ from manip_sim.control.servos import Servos
 from manip_sim.control.user_laws import COSTLY, FILLS, Law
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
-from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.parts import EndEffectorReader
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.robot_frames import Frame
 from manip_sim.physics.uncollected_forces import has_fluid

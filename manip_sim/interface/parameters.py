@@ -25,7 +25,7 @@ from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.physics.parts import Part
 from manip_sim.physics.payload import Payload
 from manip_sim.sensing.images import MAX_PIXELS, MAX_RATE_HZ, MIN_RATE_HZ
-from manip_sim.sensing.settings import QUANTITIES
+from manip_sim.sensing.sensor_noise import QUANTITIES
 from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].

@@ -24,7 +24,7 @@ from manip_sim.models.placements import Placement, read_placements
 from manip_sim.models.user_files import read_yaml, StrictLoader
 from manip_sim.quoting import format_value, quoted
 from manip_sim.sensing.randomness import generator
-from manip_sim.sensing.settings import QUANTITIES as PARAMETERS
+from manip_sim.sensing.sensor_noise import QUANTITIES as PARAMETERS
 
 ABSOLUTE, SCALE, OFFSET = 'absolute', 'scale', 'offset'
 #: The group of parameters of the node, which have no quantity.

@@ -17,7 +17,7 @@ from manip_sim.errors import SimulationEnded
 from manip_sim.interface.parameters import law_parameters
 from manip_sim.interface.topics import Scope
 from manip_sim.ros.feature import Feature, NodeContext
-from manip_sim.sensing.settings import QUANTITIES
+from manip_sim.sensing.sensor_noise import QUANTITIES
 from manip_sim.simulation import SimulatedRobot
 
 

@@ -29,8 +29,8 @@ from manip_sim.errors import ParameterError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.topics import BY_NAME, Scope
-from manip_sim.physics.contacts import read_contacts
-from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.entities import read_contacts
+from manip_sim.physics.parts import EndEffectorReader
 from manip_sim.physics.robot_frames import FrameTree, OdometryReader, TreeFrame
 from manip_sim.quoting import quoted
 from manip_sim.ros.channel_publishers import ChannelPublishers

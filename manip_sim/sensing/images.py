@@ -11,9 +11,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from manip_sim.sensing.delays import Measurements
 from manip_sim.sensing.randomness import generator
-from manip_sim.sensing.robot_sensing import RobotSensing
+from manip_sim.sensing.robot_sensing import Measurements, RobotSensing
 
 #: Limits of width and height of images, of their rate, and of the field of view of cameras.
 MAX_PIXELS = 4096

@@ -18,8 +18,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.sensing.instruments import Present
 from manip_sim.sensing.randomness import generator
 from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.sensing.sensor_noise import Channel
-from manip_sim.sensing.settings import SensingSettings
+from manip_sim.sensing.sensor_noise import Channel, SensingSettings
 
 #: Rays of one lidar at most, as many as the densest ones on the market have: 128 rings of 2048.
 MAX_RAYS = 128 * 2048

@@ -3,7 +3,7 @@
 
 """The simulation of a world: no clock, no threads, no ROS; time is a count of physics steps."""
 
-from manip_sim.physics.end_effectors import Wrench
+from manip_sim.physics.parts import Wrench
 from manip_sim.physics.payload import Payload
 from manip_sim.simulation.payload_estimation import PayloadEstimate
 from manip_sim.simulation.robot import SimulatedRobot

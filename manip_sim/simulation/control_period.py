@@ -15,8 +15,7 @@ from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.physics.spring_forces import SpringForces
-from manip_sim.physics.state_dependent_terms import FloatingBases
+from manip_sim.physics.state_dependent_terms import FloatingBases, SpringForces
 from manip_sim.simulation.compiled_period import (
     CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS, RobotRun)
 from manip_sim.simulation.robot import SimulatedRobot

@@ -5,22 +5,383 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+import threading
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 
+from manip_sim.algebra import wxyz_to_xyzw, xyzw_to_wxyz
+from manip_sim.arrays import FloatArray
 from manip_sim.control.surroundings import Surroundings
+from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.models.loading import compile_spec
+from manip_sim.models.placements import draw_places, extents
+from manip_sim.models.randomization import GROUPS, OF_NODE, Randomization, RandomizationLike, Rule
 from manip_sim.models.world import World
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.state_dependent_terms import Belts, FloatingBases
+from manip_sim.quoting import format_value
 from manip_sim.sensing.robot_sensing import RobotSensing
-from manip_sim.simulation.drawn_randomization import DomainRandomizer, Sample
+from manip_sim.sensing.sensor_noise import QUANTITIES
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
+#: Drawn values, by ``group/name/quantity``: a number or several, in SI units.
+Sample = Mapping[str, Any]
+_KINDS = {'bodies': 'body', 'geoms': 'geom', 'joints': 'joint', 'lights': 'light',
+          'cameras': 'cam'}
+#: The field of a model that a quantity is, and its place in a row; None for the whole row.
+_FIELDS: Mapping[tuple[str, str], tuple[str, int | None]] = {
+    ('bodies', 'mass'): ('body_mass', None), ('bodies', 'position'): ('body_pos', None),
+    ('bodies', 'orientation'): ('body_quat', None), ('geoms', 'friction'): ('geom_friction', 0),
+    ('geoms', 'torsional_friction'): ('geom_friction', 1),
+    ('geoms', 'rolling_friction'): ('geom_friction', 2), ('geoms', 'size'): ('geom_size', None),
+    ('geoms', 'color'): ('geom_rgba', None), ('joints', 'damping'): ('dof_damping', None),
+    ('joints', 'friction'): ('dof_frictionloss', None),
+    ('joints', 'armature'): ('dof_armature', None), ('lights', 'position'): ('light_pos', None),
+    ('lights', 'direction'): ('light_dir', None), ('lights', 'diffuse'): ('light_diffuse', None),
+    ('lights', 'ambient'): ('light_ambient', None),
+    ('lights', 'specular'): ('light_specular', None), ('cameras', 'position'): ('cam_pos', None),
+    ('cameras', 'orientation'): ('cam_quat', None)}
+#: Fields of a compiled model that depend on sizes of geoms.
+_OF_SIZES = ('geom_aabb', 'geom_rbound', 'bvh_aabb', 'bvh_child', 'bvh_depth', 'bvh_nodeid',
+             'body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
+#: Count of numbers of ``geom_size`` of a type of geom.
+_NUMBERS = {'SPHERE': 1, 'CAPSULE': 2, 'CYLINDER': 2, 'ELLIPSOID': 3, 'BOX': 3}
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+#: Specs are not for several threads at once, and worlds that are reset together share one.
+_ONE_SPEC = threading.Lock()
 #: Duration of the simulation in which coupled joints settle at their start [s].
 _SETTLE_S = 0.5
+
+
+class Measured(Protocol):
+    """The sensing of a robot."""
+
+    def set(self, name: str, value: float) -> None:
+        """Change a setting."""
+
+
+class Element:
+    """
+    The place of a quantity in a model.
+
+    :param model: a ``mujoco.MjModel``
+    :param key: ``group/name/quantity``
+    :raises UnknownNameError: if the model has no such element
+    """
+
+    def __init__(self, model: mujoco.MjModel, key: str) -> None:
+        self.group, self.name, self.quantity = split(key)
+        kind = _KINDS[self.group]
+        self.id = mujoco.mj_name2id(model, getattr(
+            mujoco.mjtObj, 'mjOBJ_CAMERA' if kind == 'cam' else f'mjOBJ_{kind.upper()}'),
+            self.name)
+        if self.id < 0:
+            raise UnknownNameError(kind, self.name, element_names(model)[self.group])
+        self.field, self._place = _FIELDS[self.group, self.quantity]
+        rows: Any = self.id
+        if self.group == 'joints':
+            first = int(model.jnt_dofadr[self.id])
+            width = {_FREE: 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
+            rows = slice(first, first + width.get(int(model.jnt_type[self.id]), 1))
+        self._rows = rows
+        self._count = (3 if self.quantity == 'color' else _sizes(model, self.id, self.name)
+                       if self.quantity == 'size' else None)
+
+    def read(self, model: mujoco.MjModel) -> FloatArray:
+        """Return the value in a model, shape (n,); quaternions as w, x, y, z."""
+        row = np.atleast_1d(np.asarray(getattr(model, self.field)[self._rows], dtype=float))
+        if self.group == 'joints':  # A row for each degree of freedom; damping has more columns.
+            return row.reshape(len(row), -1)[:1, 0].copy()
+        if self._place is not None:
+            return row[self._place:self._place + 1].copy()
+        return row[:self._count].copy()
+
+    def write(self, model: mujoco.MjModel, value: FloatArray) -> None:
+        """Change the value in a model."""
+        field = getattr(model, self.field)
+        if self.group == 'joints':
+            field[self._rows].reshape(field[self._rows].shape[0], -1)[:, 0] = value[0]
+        elif self._place is not None:
+            field[self._rows, self._place] = value[0]
+        elif field.ndim == 1:
+            field[self._rows] = value[0]
+        else:
+            field[self._rows, :len(value)] = value
+
+
+def split(key: str) -> tuple[str, str, str]:
+    """Return group, name and quantity of a drawn value; a setting has its name and no quantity."""
+    group, _, rest = key.partition('/')
+    if group == OF_NODE:
+        return group, rest, ''
+    name, _, quantity = rest.rpartition('/')
+    if quantity not in GROUPS.get(group, {}):
+        raise ModelError(f'nothing that is drawn is called {format_value(key)}')
+    return group, name, quantity
+
+
+def _sizes(model: mujoco.MjModel, geom: int, name: str) -> int:
+    kind = mujoco.mjtGeom(int(model.geom_type[geom])).name[7:]
+    if kind not in _NUMBERS:
+        raise ModelError(f"geom '{name}' is a {kind.lower()}, whose size cannot be drawn; it can "
+                         f'of {", ".join(known.lower() for known in _NUMBERS)}')
+    return _NUMBERS[kind]
+
+
+def element_names(model: mujoco.MjModel) -> dict[str, list[str]]:
+    """Return the names of all elements of which something can be drawn, by group."""
+    return {group: [getattr(model, kind)(index).name
+                    for index in range(getattr(model, f'n{size}'))]
+            for group, kind, size in (
+                ('bodies', 'body', 'body'), ('geoms', 'geom', 'geom'), ('joints', 'joint', 'jnt'),
+                ('lights', 'light', 'light'), ('cameras', 'camera', 'cam'))}
+
+
+def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Sample,
+                   before: Iterable[str] = ()) -> None:
+    """
+    Write drawn values to a model, and compute what MuJoCo derives from them.
+
+    Sizes are written, but not what the compiler derives from them.
+
+    :param model: a ``mujoco.MjModel``; elements that it does not have are left out
+    :param nominal: the same model as it was compiled, with these sizes
+    :param drawn: by ``group/name/quantity``
+    :param before: what had been drawn, whose values become nominal first
+    """
+    keys = [key for key in dict.fromkeys([*before, *drawn]) if split(key)[0] != OF_NODE]
+    if not keys:
+        return
+    for key in keys:
+        try:
+            element = Element(model, key)
+        except UnknownNameError:  # An object that came or went since.
+            continue
+        value = np.atleast_1d(np.array(drawn[key], dtype=float)) if key in drawn else (
+            element.read(nominal))
+        if element.quantity == 'orientation' and key in drawn:
+            value = xyzw_to_wxyz(value)
+        if element.quantity == 'mass':
+            mass = float(nominal.body_mass[element.id])
+            if mass <= 0.0:
+                continue
+            model.body_inertia[element.id] = nominal.body_inertia[element.id] * (value[0] / mass)
+        element.write(model, value)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+class DomainRandomizer:
+    """
+    The draws for the episodes of one simulation.
+
+    :param given: the distributions; None for none
+    :param physics: of the simulation
+    :param sensing: of each robot, by its name
+    :param lawful: joints whose dry friction follows a law of its own
+    :raises ModelError: if a pattern matches nothing, or something cannot be drawn
+    :ivar drawn: of the present episode, as it is replaced by each draw
+    """
+
+    def __init__(self, given: RandomizationLike | None, physics: Physics,
+                 sensing: Mapping[str, Measured], lawful: Iterable[str] = ()) -> None:
+        self._physics, self._sensing = physics, dict(sensing)
+        self.drawn: Sample = {}
+        self._seed = 0
+        self._given = None if given is None else Randomization(given)
+        if self._given is None:
+            return
+        lawful = set(lawful)
+        for key, rule in self._given.resolve(self._names()).items():
+            group, name, quantity = split(key)
+            try:
+                self._drawn_value(key, rule, 0, physics.plan.compiled)
+            except (ModelError, KeyError) as error:
+                raise ModelError(f'{rule.where}: {error}' if rule.where not in str(error)
+                                 else str(error)) from None
+            if (group, quantity) == ('joints', 'friction') and name in lawful:
+                raise ModelError(f"{rule.where}: joint '{name}' has Stribeck friction, which "
+                                 'cannot be drawn')
+
+    def _names(self) -> dict[str, list[str]]:
+        is_single = len(self._sensing) == 1
+        return {**element_names(self._physics.plan.compiled), OF_NODE: [
+            name if is_single else f'{robot}.{name}'
+            for robot in self._sensing for name in QUANTITIES]}
+
+    def _rules(self) -> dict[str, Rule]:
+        return {} if self._given is None else self._given.resolve(self._names(), strict=False)
+
+    @property
+    def draws(self) -> bool:
+        """True if anything is drawn at resets."""
+        return self._given is not None
+
+    def draw(self, seed: int) -> None:
+        """
+        Draw all for the episode of a seed, and change model and settings.
+
+        :param seed: a whole number from 0
+        """
+        nominal = self._physics.plan.compiled
+        drawn = {key: self._drawn_value(key, rule, seed, nominal)
+                 for key, rule in self._rules().items()}
+        self.set({**self._placed(nominal, seed), **drawn})
+        self._seed = seed
+
+    def _placed(self, nominal: mujoco.MjModel, seed: int) -> dict[str, Any]:
+        """Return the poses of objects that are placed in areas; of those that still exist."""
+        declared = () if self._given is None else self._given.placements
+        there = set(self._physics.plan.object_names)
+        areas = [replace(area, objects=tuple(name for name in area.objects if name in there))
+                 for area in declared]
+        names = [name for area in areas for name in area.objects]
+        return {f'bodies/{name}/{quantity}': value.tolist() for name, (position, quat) in
+                draw_places(areas, extents(nominal, names) if names else {}, seed).items()
+                for quantity, value in (('position', position),
+                                        ('orientation', wxyz_to_xyzw(quat)))}
+
+    def _drawn_value(self, key: str, rule: Rule, seed: int, nominal: mujoco.MjModel,
+                     pose: FloatArray | None = None) -> Any:
+        """Return a drawn value as JSON can hold it; orientations as x, y, z, w."""
+        draw = rule.draw(seed, key)
+        if rule.group == OF_NODE:
+            return float(rule.applied(np.zeros(1), draw)[0])
+        element = Element(nominal, key)
+        value = element.read(nominal) if pose is None else pose
+        if element.quantity == 'orientation':
+            value = wxyz_to_xyzw(turned(value, rule.applied(np.zeros(3), draw)))
+        else:
+            value = rule.applied(value, draw)
+        return value.tolist() if len(value) > 1 else float(value[0])
+
+    def set(self, drawn: Sample) -> None:
+        """
+        Change model and settings to drawn values.
+
+        :param drawn: by ``group/name/quantity``
+        :raises ModelError: if something in it cannot be drawn
+        """
+        for key in drawn:
+            split(key)
+        physics, before = self._physics, self.drawn
+        nominal = physics.plan.compiled
+        if _sizes_in(before) or _sizes_in(drawn):
+            nominal = _copy_sizes(physics.plan, physics.model, _sizes_in(drawn))
+        self.drawn = dict(drawn)
+        apply_to_model(physics.model, nominal, drawn, before)
+        for key, value in drawn.items():
+            group, name, _ = split(key)
+            if group == OF_NODE:
+                self._set_parameter(name, value)
+
+    def _set_parameter(self, name: str, value: float) -> None:
+        is_single = len(self._sensing) == 1
+        for robot, sensing in self._sensing.items():
+            begin = '' if is_single else f'{robot}.'
+            if name.startswith(begin) and name[len(begin):] in QUANTITIES:
+                sensing.set(name[len(begin):], value)
+
+    def replace_parameter(self, robot: str, name: str, value: float) -> None:
+        """Let a value that was set by hand replace the drawn one, until the next draw."""
+        key = f'{OF_NODE}/{name}' if len(self._sensing) == 1 else f'{OF_NODE}/{robot}.{name}'
+        if key in self.drawn:
+            self.drawn = {**self.drawn, key: float(value)}
+
+    @property
+    def _posed(self) -> list[str]:
+        """The keys of poses of free bodies."""
+        return [key for key in self.drawn if self._free(key) is not None]
+
+    def _free(self, key: str) -> int | None:
+        """Return where the pose of a free body is in ``qpos``; None if it is another key."""
+        group, name, quantity = split(key)
+        if group != 'bodies' or quantity == 'mass':
+            return None
+        model = self._physics.model
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if body < 0 or not model.body_jntnum[body]:
+            return None
+        joint = int(model.body_jntadr[body])
+        return int(model.jnt_qposadr[joint]) if int(model.jnt_type[joint]) == _FREE else None
+
+    def place(self, data: mujoco.MjData) -> None:
+        """
+        Put free bodies where they were drawn to be.
+
+        :param data: changed; ``mj_forward`` is left to the caller
+        """
+        for key in self._posed:
+            value, at = self.drawn[key], self._free(key)
+            assert at is not None
+            if key.endswith('/position'):
+                data.qpos[at:at + 3] = value
+            else:
+                data.qpos[at + 3:at + 7] = xyzw_to_wxyz(value)
+
+    def free_poses(self, data: mujoco.MjData) -> FloatArray:
+        """Return the poses of the free bodies that are drawn, one after the other."""
+        return np.concatenate([np.empty(0), *(data.qpos[self._free(key):][:7]
+                                              for key in self._posed)])
+
+    def place_again(self, data: mujoco.MjData, before: FloatArray, keeps: bool) -> None:
+        """
+        Draw the poses of free bodies that something else has placed since, from where they are.
+
+        :param data: changed; ``mj_forward`` is left to the caller
+        :param before: what :meth:`free_poses` has returned before that
+        :param keeps: whether the poses that are known are to be taken instead of draws
+        """
+        rules, drawn = self._rules(), dict(self.drawn)
+        old = dict(zip(self._posed, before.reshape(-1, 7)))
+        for key, pose in old.items():
+            at = self._free(key)
+            assert at is not None
+            places = slice(at, at + 3) if key.endswith('/position') else slice(at + 3, at + 7)
+            here = data.qpos[places].copy()
+            stays = np.array_equal(here, pose[:3] if len(here) == 3 else pose[3:])
+            if keeps or key not in rules or stays:
+                continue
+            drawn[key] = self._drawn_value(key, rules[key], self._seed,
+                                           self._physics.plan.compiled, here)
+        self.drawn = drawn
+        self.place(data)
+
+
+def turned(quat_wxyz: FloatArray, by: FloatArray) -> FloatArray:
+    """Return an orientation that is turned by a rotation vector in its own axes [rad]."""
+    product, turn = np.empty(4), np.array([1.0, 0.0, 0.0, 0.0])
+    mujoco.mju_quatIntegrate(turn, by, 1.0)
+    mujoco.mju_mulQuat(product, quat_wxyz, turn)
+    return product
+
+
+def _sizes_in(drawn: Sample) -> dict[str, Sequence[float]]:
+    return {split(key)[1]: np.atleast_1d(value).tolist() for key, value in drawn.items()
+            if split(key)[::2] == ('geoms', 'size')}
+
+
+def _copy_sizes(plan: Any, model: mujoco.MjModel, sizes: Mapping[str, Sequence[float]]
+                ) -> mujoco.MjModel:
+    """Let the compiler derive from sizes what it does; copy it to a model, and return all."""
+    sized = plan.compiled
+    if sizes:
+        with _ONE_SPEC:
+            spec = plan.spec.copy()
+            for name, size in sizes.items():
+                geom = spec.geom(name)
+                if geom is not None:
+                    geom.size[:len(size)] = size
+            sized = compile_spec(spec, 'the world with the sizes that were drawn')
+    if any(getattr(model, field).shape != getattr(sized, field).shape for field in _OF_SIZES):
+        raise ModelError('the sizes that were drawn change the structure of the world')
+    for field in ('geom_size', *_OF_SIZES):
+        getattr(model, field)[:] = getattr(sized, field)
+    return sized
 
 
 def _settle(model: mujoco.MjModel, data: mujoco.MjData, disabled: int = 0) -> None:

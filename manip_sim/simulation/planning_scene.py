@@ -15,7 +15,7 @@ from manip_sim.algebra import matrix_of, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.models.urdf_writer.links import (
     collides, geoms_of_body, subtree, triangles_of, unit_sphere)
-from manip_sim.physics.contacts import bodies_in_contact, pulling_bodies
+from manip_sim.physics.entities import bodies_in_contact, pulling_bodies
 
 BOX, SPHERE, CYLINDER, MESH = 'box', 'sphere', 'cylinder', 'mesh'
 #: Objects that have moved less are not published again [m], [rad].

@@ -11,16 +11,12 @@ periods, which is quick.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-import mujoco
-import numpy as np
-
-from manip_sim.control.seats import Seats
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose_robot
 from manip_sim.models.actuators import add_setpoint_activation, position_servos_without_dynamics
@@ -33,13 +29,8 @@ from manip_sim.models.registry import is_path
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.user_files import AllowedRoots, InMemoryFile
 from manip_sim.models.world import compensate_free_robots, World
-from manip_sim.physics.clock import Clock
-from manip_sim.physics.efforts import ActuatorEfforts
-from manip_sim.physics.external_wrench import ExternalWrench
 from manip_sim.physics.object_spawning import ElementMap, plan_world, WorldPlan
-from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.physics.state_dependent_terms import FrictionLaws
 from manip_sim.quoting import format_value
 from manip_sim.simulation.robot import SimulatedRobot
 
@@ -185,89 +176,6 @@ def _follow(simulation: RunningWorld, world: World, start: Mapping[str, float] |
     plan = plan_world(base, before.objects if objects is None else objects, world.name)
     return RobotsPlan(world, replace(plan, since=ElementMap(before.compiled, plan.compiled)),
                       start or {})
-
-
-class RobotSet:
-    """
-    The robots of a world, with the updates that each of them needs when the model is replaced.
-
-    :param physics: of the world at the start, after ``mj_forward``
-    :param efforts: of the actuators of the model
-    :param clock: of the simulation
-    :param robots: that are there at the start, all of the model
-    :ivar by_name: the robots, in the order of the model
-    """
-
-    def __init__(self, physics: Physics, efforts: ActuatorEfforts, clock: Clock,
-                 robots: Iterable[RobotModel]) -> None:
-        self._physics, self._efforts, self._clock = physics, efforts, clock
-        self.by_name: dict[str, SimulatedRobot] = {}
-        self._adapts: dict[str, list[Callable[[], None]]] = {}
-        self._laws: dict[str, FrictionLaws] = {}
-        for robot in robots:
-            self._create(robot)
-        self._at_start = frozenset(self.by_name)
-        physics.on_change(self._adapt)
-
-    def _create(self, robot: RobotModel) -> SimulatedRobot:
-        with self._physics.collected() as adapts:
-            made = SimulatedRobot(self._physics, robot, self._efforts, self._clock)
-            if robot.friction_laws:
-                self._laws[made.name] = FrictionLaws(self._physics, robot.friction_laws)
-        self.by_name[made.name], self._adapts[made.name] = made, adapts
-        return made
-
-    def _adapt(self) -> None:
-        for adapts in self._adapts.values():
-            for adapt in adapts:
-                adapt()
-
-    @property
-    def spawned(self) -> list[str]:
-        """Names of the robots that were not there at the start."""
-        return [name for name in self.by_name if name not in self._at_start]
-
-    @property
-    def tools(self) -> list[ExternalWrench]:
-        """The external wrenches of all grippers."""
-        return [reader.external for robot in self.by_name.values()
-                for reader in robot.end_effectors.values()]
-
-    @property
-    def laws(self) -> list[FrictionLaws]:
-        """The laws of the joints, of the robots that have such."""
-        return [*self._laws.values()]
-
-    @property
-    def seats(self) -> list[Seats]:
-        """The laws of users, of each robot."""
-        return [robot.joints.seats for robot in self.by_name.values()]
-
-    def delete(self, name: str) -> None:
-        """Delete a robot, before its model is; its commands are aborted."""
-        self.by_name.pop(name).abort(f"robot '{name}' was deleted")
-        self._adapts.pop(name)
-        self._laws.pop(name, None)
-
-    def begin(self, robot: RobotModel, start: Mapping[str, float], seed: int) -> None:
-        """
-        Let a robot that is in the model now begin, at rest.
-
-        :param start: of its joints, by name [rad or m]
-        :param seed: of the noise of its sensors
-        """
-        model, data = self._physics.model, self._physics.data
-        for joint, position in start.items():
-            data.joint(joint).qpos[0] = position
-        mujoco.mj_forward(model, data)
-        made = self._create(robot)
-        made.reset()
-        mujoco.mj_forward(model, data)
-        self._efforts.restart(np.concatenate(
-            [part.dof_addresses for part in made.parts.values()]))
-        for reader in made.end_effectors.values():
-            reader.external.reset(data)
-        made.sensing.reset(seed)
 
 
 #: Name of a robot that is sent as text.

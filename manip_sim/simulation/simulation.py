@@ -21,18 +21,16 @@ from manip_sim.physics.entities import Entities
 from manip_sim.physics.object_spawning import plan_world, WorldPlan
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.physics_steps import PhysicsSteps
-from manip_sim.physics.spring_forces import SpringForces
-from manip_sim.physics.state_dependent_terms import Belts, FloatingBases
+from manip_sim.physics.state_dependent_terms import Belts, FloatingBases, SpringForces
 from manip_sim.sensing.lidars import Lidars
 from manip_sim.simulation.control_period import ControlPeriods
-from manip_sim.simulation.drawn_randomization import DomainRandomizer, Sample
-from manip_sim.simulation.episode_start import EpisodeStart
+from manip_sim.simulation.episode_start import DomainRandomizer, EpisodeStart, Sample
 from manip_sim.simulation.faults import Faults
-from manip_sim.simulation.measured_instruments import MeasuredInstruments
 from manip_sim.simulation.payload_estimation import PayloadEstimate, PayloadEstimation
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.simulation.robot_set import MeasuredInstruments, RobotSet
 from manip_sim.simulation.robot_spawning import (
-    actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotSet, RobotsPlan)
+    actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
 from manip_sim.simulation.saved_state import SavedStates, SimulationState
 from manip_sim.simulation.start_defect import check_start
 from manip_sim.validation import whole_number

@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.models.cameras import camera_names
 from manip_sim.physics.object_spawning import compile_visual, WorldPlan
-from manip_sim.simulation.drawn_randomization import apply_to_model, Sample
+from manip_sim.simulation.episode_start import apply_to_model, Sample
 from manip_sim.simulation.simulation import Simulation
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.placements import checked_seed
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.drawn_randomization import Sample
+from manip_sim.simulation.episode_start import Sample
 from manip_sim.tasks.episode_actions import create_actions
 from manip_sim.tasks.expert import Expert, Policy
 from manip_sim.tasks.latency import Latency, LatencyLike, NO_LATENCY
@@ -35,7 +35,7 @@ class Episode:
     :param action: what actions mean, one of :data:`ACTIONS`
     :param latency: of commands and states, in simulated time, whole numbers of timesteps
     :param pictures: renders the images of observations; None for no images
-    :param noise: of all robots, by the names of ``manip_sim.sensing.settings.QUANTITIES``
+    :param noise: of all robots, by the names of ``manip_sim.sensing.sensor_noise.QUANTITIES``
     :raises ModelError: if a duration cannot be used
     :raises CommandError: if a number of noise is out of range
     :raises UnknownNameError: if the kind of actions is unknown

@@ -16,7 +16,7 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.grippers import GripperModel
-from manip_sim.physics.contacts import pulling_bodies
+from manip_sim.physics.entities import pulling_bodies
 from manip_sim.quoting import quoted_names
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.episode_actions import ArmAction, PoseActions, STEP_M

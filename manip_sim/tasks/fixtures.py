@@ -16,7 +16,7 @@ from manip_sim.algebra import length, product
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.object_creation import Description
-from manip_sim.physics.contacts import read_contacts
+from manip_sim.physics.entities import read_contacts
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert, fingers_side_by_side, Hold, pointing_down, sides
 from manip_sim.tasks.grasping import bodies_of_gripper

@@ -10,7 +10,7 @@ from collections.abc import Collection
 import mujoco
 import numpy as np
 
-from manip_sim.physics.contacts import bodies_in_contact, pulling_bodies
+from manip_sim.physics.entities import bodies_in_contact, pulling_bodies
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.quoting import format_value
-from manip_sim.sensing.delays import Delay, ROUNDING
+from manip_sim.sensing.robot_sensing import Delay, ROUNDING
 from manip_sim.tasks.episode import Episode
 from manip_sim.tasks.latency import LONGEST_S
 from manip_sim.validation import steps_of, whole_number

@@ -16,7 +16,7 @@ from typing import Union
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import format_value
-from manip_sim.sensing.delays import ROUNDING
+from manip_sim.sensing.robot_sensing import ROUNDING
 
 #: Longest latency [s]; a longer one is a mistake in the unit.
 LONGEST_S = 10.0
@@ -78,7 +78,7 @@ class Latency:
 
     @property
     def quantities(self) -> dict[str, float]:
-        """Values above 0, by the names of ``manip_sim.sensing.settings.QUANTITIES``."""
+        """Values above 0, by the names of ``manip_sim.sensing.sensor_noise.QUANTITIES``."""
         return {f'latency.{key}': value for key, value in self.as_mapping().items() if value}
 
     def check(self, timestep_s: float) -> None:

@@ -16,7 +16,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.seats import LawParameters
 from manip_sim.control.user_laws import Law, law_of
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
-from manip_sim.physics.end_effectors import EndEffector
+from manip_sim.physics.parts import EndEffector
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Wrench

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.physics.contacts import read_contacts
+from manip_sim.physics.entities import read_contacts
 
 FLOOR = '<geom name="floor" type="plane" size="1 1 0.1"/>'
 BALL = ('<body name="{}" pos="0 0 {}"><freejoint/>'

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from manip_sim.models import World
-from manip_sim.sensing.delays import Measurements
 from manip_sim.sensing.images import CameraSensing, ImageNoise
+from manip_sim.sensing.robot_sensing import Measurements
 from manip_sim.simulation import Simulation
 
 SHAPE = (250, 400)

@@ -12,8 +12,7 @@ from manip_sim.models import compose
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.robots import robot_names
 from manip_sim.sensing.instruments import find_instruments
-from manip_sim.sensing.sensor_noise import InstrumentChannel
-from manip_sim.sensing.settings import SensingSettings
+from manip_sim.sensing.sensor_noise import InstrumentChannel, SensingSettings
 from manip_sim.simulation import Simulation
 
 #: A box that turns about z with 0.5 rad/s, with one sensor of many kinds.

@@ -12,8 +12,8 @@ import pytest
 
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.sensing.randomness import generator, NormalRows
-from manip_sim.sensing.sensor_noise import JointChannel, WrenchChannel
-from manip_sim.sensing.settings import QUANTITIES, SensingSettings, TORQUE_PER_FORCE_M
+from manip_sim.sensing.sensor_noise import (
+    JointChannel, QUANTITIES, SensingSettings, TORQUE_PER_FORCE_M, WrenchChannel)
 
 COUNT = 100_000
 TIMESTEP_S = 0.002

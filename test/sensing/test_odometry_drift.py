@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from manip_sim.models import compose
-from manip_sim.sensing.odometry_drift import OdometryChannel
-from manip_sim.sensing.settings import SensingSettings
+from manip_sim.sensing.sensor_noise import OdometryChannel, SensingSettings
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import Worlds
 

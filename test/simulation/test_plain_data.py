@@ -24,7 +24,7 @@ from manip_sim.physics.payload import Payload
 from manip_sim.physics.robot_frames import Frame
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.journal_entries import plain_state, restore_plain
-from manip_sim.simulation.plain_data import Decoder, Encoder, to_json
+from manip_sim.simulation.saved_state import Decoder, Encoder, to_json
 
 
 def through_json(value):

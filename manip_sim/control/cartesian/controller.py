@@ -31,7 +31,7 @@ from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.velocity_stream import VelocityStream
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.physics.end_effectors import EndEffectorReader
+from manip_sim.physics.parts import EndEffectorReader
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.physics.robot_frames import Frame, WORLD

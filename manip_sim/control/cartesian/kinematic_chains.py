@@ -21,8 +21,7 @@ from manip_sim.control.law.joint_records import readable
 from manip_sim.control.servos import Servos
 from manip_sim.derived import Derived
 from manip_sim.models.robots import RobotModel
-from manip_sim.physics.end_effectors import EndEffectorReader
-from manip_sim.physics.parts import Part
+from manip_sim.physics.parts import EndEffectorReader, Part
 from manip_sim.physics.physics import Physics, places_of_inertia
 from manip_sim.physics.robot_frames import Frame, RobotFrames
 
