@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -22,10 +22,6 @@ from manip_sim.simulation.robot import SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
-#: Nothing to be measured within a period.
-_NOTHING: Mapping[int, Callable[[], None]] = {}
-#: Of how many lengths of periods the intervals are kept.
-_REMEMBERED = 64
 
 
 class ControlPeriods:
@@ -51,7 +47,6 @@ class ControlPeriods:
         self.diverged: str | None = None
         self.sync_robots()
         self._interval_steps = max(1, round(_INTERVAL_S / timestep_s))
-        self._cuts: dict[int, IntArray] = {}
         self.compiled = CompiledPeriod(steps, floating_bases, clock, timestep_s)
         #: The robots and runs that it was prepared for; true if a period ends with them.
         self._prepared: tuple[
@@ -146,7 +141,7 @@ class ControlPeriods:
         if self._pulls:
             self._pulls.apply(steps * self._timestep_s)
         self._prepared, self._is_computed, self._is_good = None, False, False
-        self._left, self._later, self._steps.measuring = steps, 0, _NOTHING
+        self._left, self._later, self._steps.measuring = steps, 0, {}
         if any([robot.has_latency for robot in self._robots]):
             self._plan_measuring(steps)
             self._left = self._until_command(steps)
@@ -178,10 +173,11 @@ class ControlPeriods:
     def _stand(self, steps: int, acting: Sequence[SimulatedRobot], runs: Sequence[RobotRun]
                ) -> None:
         """Let compiled code go on by itself like in the last period, if it may."""
-        if not all([robot.stand(run) for robot, run in zip(acting, runs)]):
+        if not all([robot.may_stand and robot.runs.stand(run)
+                    for robot, run in zip(acting, runs)]):
             return
         if self._steps.goes_on and not self._pulls and all([
-                robot in acting or robot.stands_resting for robot in self._robots]):
+                robot in acting or robot.resting and robot.may_stand for robot in self._robots]):
             self._standing = acting, runs
             standing = dict(zip(acting, runs))
             for robot in self._robots:
@@ -189,7 +185,7 @@ class ControlPeriods:
             self.compiled.stand(steps, len(acting) > 0)
 
     def _begin_control(self, period_s: float) -> None:
-        interval_s = self._chunk(self._left) * self._timestep_s
+        interval_s = _chunk(self._left, self._interval_steps) * self._timestep_s
         for robot in self._robots:
             robot.begin_period(period_s, interval_s)
 
@@ -211,25 +207,22 @@ class ControlPeriods:
 
     def _end(self, steps: int) -> None:
         """End a period; hold the last good state if the physics has diverged in it."""
-        watch = self._steps.divergence
-        reason = None if self._is_good else watch.reason()
-        if reason is None:
-            self._steps.end_period(steps, steps * self._timestep_s)
-            for robot in self._observed:
-                robot.end_period(steps * self._timestep_s)
-            for robot in self._robots:
-                if robot.sensing.settings.measures:
-                    robot.reader.end_period(steps, steps * self._timestep_s)
-                robot.faults.measure()
+        divergence, period_s = self._steps.divergence, steps * self._timestep_s
+        reason = None if self._is_good else divergence.reason()
+        if reason is not None:
+            self.diverged = f'the physics diverged at {self._clock.time_ns / 1e9:.3f} s: {reason}'
+            divergence.hold()
             self._pulls.release()
-        else:
-            self._hold(reason)
-
-    def _hold(self, reason: str) -> None:
-        self.diverged = f'the physics diverged at {self._clock.time_ns / 1e9:.3f} s: {reason}'
-        self._steps.divergence.hold()
+            self._steps.restart()
+            return
+        self._steps.end_period(steps, period_s)
+        for robot in self._observed:
+            robot.reflexes.collisions.observe(self._steps.physics.data, period_s)
+        for robot in self._robots:
+            if robot.sensing.settings.measures:
+                robot.reader.end_period(steps, period_s)
+            robot.faults.measure()
         self._pulls.release()
-        self._steps.restart()
 
     def _check_not_diverged(self) -> None:
         if self.diverged is not None:
@@ -255,7 +248,7 @@ class ControlPeriods:
                 self._begin_control(steps * self._timestep_s)
                 awake = self._awake()
             steps_by_law = self._lets_laws_step(awake)
-            intervals = self._cut(self._left) if steps_by_law else self._cut(self._left)[:1]
+            intervals = _cut(self._left, self._interval_steps)[:None if steps_by_law else 1]
             runs = [robot.runs.begin(intervals) for robot in awake]
             if not steps_by_law:
                 self._step_in_python(awake, runs)
@@ -277,7 +270,7 @@ class ControlPeriods:
 
     def _prepare(self, robots: Sequence[SimulatedRobot], runs: Sequence[RobotRun]) -> bool:
         """Prepare compiled code for robots; return whether it runs the whole period."""
-        whole = self._cut(self._left)
+        whole = _cut(self._left, self._interval_steps)
         intervals = min([whole, *[run.intervals for run in runs]], key=len)
         if self._left > MOST_STEPS:
             intervals = intervals[:max(1, np.searchsorted(intervals.cumsum(), MOST_STEPS))]
@@ -308,7 +301,9 @@ class ControlPeriods:
             self._steps.begin()
             self._begun = True
         # The weight of free robots is given back in each interval.
-        steps = self._chunk(self._left) if len(self._floating_bases.dofs) else self._left
+        steps = self._left
+        if len(self._floating_bases.dofs):
+            steps = _chunk(steps, self._interval_steps)
         if runs:
             steps = int(min([run.intervals[0] for run in runs]))
             self.compiled.prepare(runs, np.array([steps]), steps, stepping=False)
@@ -322,21 +317,20 @@ class ControlPeriods:
             robot.runs.end(run, self._steps.places_at_begin)
             robot.check_laws()
 
-    def _chunk(self, left: int) -> int:
-        """Return the steps of the next interval; they divide the rest of a period evenly."""
-        return -(-left // -(-left // self._interval_steps))
 
-    def _cut(self, steps: int) -> IntArray:
-        """Return the steps of all intervals in which setpoints move, of the rest of a period."""
-        if steps not in self._cuts:
-            if len(self._cuts) == _REMEMBERED:
-                self._cuts.clear()
-            chunks, left = [], steps
-            while left:
-                chunks.append(self._chunk(left))
-                left -= chunks[-1]
-            self._cuts[steps] = np.array(chunks)
-        return self._cuts[steps]
+def _chunk(left: int, longest: int) -> int:
+    """Return the steps of the next interval; they divide the rest of a period evenly."""
+    return -(-left // -(-left // longest))
+
+
+@lru_cache
+def _cut(steps: int, longest: int) -> IntArray:
+    """Return the steps of all intervals in which setpoints move, of the rest of a period."""
+    chunks, left = [], steps
+    while left:
+        chunks.append(_chunk(left, longest))
+        left -= chunks[-1]
+    return np.array(chunks)
 
 
 def _record(robots: Sequence[SimulatedRobot]) -> None:

@@ -36,7 +36,7 @@ from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.parts import atomic_parts, find_parts, Part
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics, STEPS
-from manip_sim.simulation.compiled_period import RobotRun, RobotRuns
+from manip_sim.simulation.compiled_period import RobotRuns
 from manip_sim.simulation.faults import RobotFaults
 from manip_sim.simulation.robot_state import joint_dynamics, JointDynamics, RobotReader, State
 from manip_sim.validation import positive_number
@@ -498,15 +498,6 @@ class SimulatedRobot:
         self.joints.begin_period(
             self._physics.data, self._clock.control_s, period_s, interval_s)
 
-    def end_period(self, period_s: float) -> None:
-        """
-        End a control period: observe what the world has exerted in it.
-
-        :param period_s: its length [s]
-        """
-        if self.reflexes.observes:
-            self.reflexes.collisions.observe(self._physics.data, period_s)
-
     @property
     def has_latency(self) -> bool:
         """True if commands are on their way, or states are measured before they arrive."""
@@ -610,26 +601,12 @@ class SimulatedRobot:
         """``running``, ``protective_stop``, ``emergency_stop`` or ``recovering``."""
         return self.reflexes.safety_state
 
-    def stand(self, run: RobotRun) -> bool:
-        """
-        Let compiled code go on with a control period of this robot, if it may.
-
-        :param run: the last intervals
-        :returns: whether it may
-        """
-        return self._may_stand and self.runs.stand(run)
-
     @property
-    def _may_stand(self) -> bool:
+    def may_stand(self) -> bool:
         """True if nothing but joints and fingers has to be looked at in a control period."""
         return not (self._late or self.sensing.settings.delays or self.sensing.settings.measures
                     or self.reflexes.armed or self.reflexes.is_recovering
                     or not all([gripper.stands for gripper in self.grippers.values()]))
-
-    @property
-    def stands_resting(self) -> bool:
-        """True if it rests, and nothing has to be looked at in a control period."""
-        return self.resting and self._may_stand
 
     def streams(self, command: JointSetpoint | PoseAction) -> int:
         """

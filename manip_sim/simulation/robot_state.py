@@ -61,6 +61,10 @@ def _channels_of(arm: str) -> tuple[str, ...]:
     return tuple(f'{arm}/{reading}' for reading in READINGS)
 
 
+def _read(read: Callable[[mujoco.MjData], FloatArray], physics: Physics) -> FloatArray:
+    return read(physics.data)
+
+
 class RobotReader:
     """
     A reader of one robot.
@@ -109,12 +113,8 @@ class RobotReader:
             wrench = WrenchChannel(reader.ft_frame, 6)
             noise = {'wrench': wrench, 'external_wrench': ExternalWrenchChannel(wrench)}
             for reading, channel in zip(READINGS, _channels_of(arm)):
-                self.sensing.add(channel, partial(self._read, arm, reading), noise.get(reading))
-
-    def _read(self, arm: str, name: str) -> FloatArray:
-        """Return one of the readings of a gripper, exactly."""
-        reading: FloatArray = getattr(self.end_effectors[arm], name)(self._physics.data)
-        return reading
+                read = partial(_read, getattr(reader, reading), self._physics)
+                self.sensing.add(channel, read, noise.get(reading))
 
     def measured(self, part: str | None = None) -> FloatArray:
         """Return the measurements of a part's joints, as :meth:`SimulatedRobot.measured`."""

@@ -32,7 +32,7 @@ from manip_sim.simulation.robot_set import MeasuredInstruments, RobotSet
 from manip_sim.simulation.robot_spawning import (
     actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
 from manip_sim.simulation.saved_state import SavedStates, SimulationState
-from manip_sim.simulation.start_defect import check_start
+from manip_sim.simulation.start_defect import find_start_defects
 from manip_sim.validation import whole_number
 
 
@@ -104,7 +104,8 @@ class Simulation:
             self._randomize(world.seed, None)
         self._settle()
         self._reset(world.seed)
-        self.start_defects = check_start(self.model, self.data, self._floating_bases.roots)
+        self.start_defects = [defect.text for defect in find_start_defects(
+            self.model, self.data, self._floating_bases.roots)]
 
     def _find_entities(self) -> None:
         spawned = set(self.spawned_robots)

@@ -15,14 +15,15 @@ from manip_sim.models.grippers import create_gripper
 from manip_sim.models.robots import create_robot, robot_names
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
-from manip_sim.simulation.start_defect import _full_force, check_start, find_start_defects
+from manip_sim.simulation.start_defect import _full_force, find_start_defects
 
 BALL = '<geom name="{}" size="0.05" pos="{} 0 0"/>'
 
 
 def told(simulation):
     """Return what is wrong with the start of a simulation's robot."""
-    return check_start(simulation.model, simulation.data, [simulation.robot.robot_model.root_body])
+    return [defect.text for defect in find_start_defects(
+        simulation.model, simulation.data, [simulation.robot.robot_model.root_body])]
 
 
 def defects_of(worldbody, sections='', gravity=0.0):
