@@ -34,8 +34,8 @@ from numpy.typing import NDArray
 
 from manip_sim.experiments import wilson_interval
 from manip_sim.experiments.comparison import compare, mcnemar_p
+from manip_sim.experiments.experiment import Z_95
 from manip_sim.experiments.run_folder import read_run
-from manip_sim.experiments.summary import Z_95
 from manip_sim.tasks import Episode, Setting
 
 POWER = 0.8

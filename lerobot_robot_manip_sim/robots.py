@@ -13,7 +13,7 @@ from typing import Any
 from lerobot.robots import Robot, RobotConfig
 from lerobot.robots.utils import ensure_safe_goal_position
 
-from manip_sim.env.lerobot_robot import NodeRobot
+from manip_sim.env.ros import NodeRobot
 from manip_sim.lerobot_units import plain_scales, POSITION, Scale, SO101_MOTORS, so101_scales
 
 

@@ -40,7 +40,6 @@ MAY_IMPORT = {
     'tasks': ({'control', 'models', 'physics', 'sensing', 'simulation', 'rendering', 'tasks'},
               PURE),
     'env/ros.py': ({'env', 'simulation', 'tasks'}, None),
-    'env/lerobot_robot.py': ({'env'}, None),
     'env': ({'env', 'models', 'tasks', 'worlds'}, PURE | {'gymnasium'}),
     'records': ({'channels', 'control', 'interface', 'models', 'records', 'rendering',
                  'simulation', 'tasks'},
@@ -69,7 +68,7 @@ MAY_IMPORT = {
 }
 #: The module that imports what rclpy has no public name for, and the layers that use rclpy.
 INTERNALS = 'rclpy_internals'
-WITH_RCLPY = ('ros', 'env/ros.py', 'env/lerobot_robot.py', 'examples', 'testing', 'viewer/ros',
+WITH_RCLPY = ('ros', 'env/ros.py', 'examples', 'testing', 'viewer/ros',
               'records/node_recorder.py', 'experiments/ros_policy.py', 'cli/ros_commands.py',
               f'{INTERNALS}.py')
 TOP_LEVEL = {'algebra', 'arrays', 'derived', 'entry_points', 'errors', 'frame_names',

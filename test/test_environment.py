@@ -231,7 +231,7 @@ def test_a_full_shared_memory_is_one_line_that_names_what_killed_nodes_have_left
 @pytest.mark.parametrize('program', [
     ['pytest', '-q', '-p', 'no:cacheprovider', 'test_of_mine.py'],
     ['manip_sim.cli', 'run', 'reach', '--policy', 'ros:/policy', '--seeds', '0', '--out', 'run'],
-    ['manip_sim.env.ros'], ['manip_sim.env.lerobot_robot']])
+    ['manip_sim.env.ros']])
 def test_a_full_shared_memory_ends_neither_tests_runs_nor_clients_without_a_word(
         program, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

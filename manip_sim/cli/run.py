@@ -23,10 +23,10 @@ from manip_sim.experiments import (
     Experiment, parse_seeds, parse_shard, RunFolder, wilson_interval, Worker)
 from manip_sim.experiments.comparison import (
     compare, Comparison, first_difference, Pairs, recorded_episode, seeds_to_add)
+from manip_sim.experiments.experiment import Row, success_over
 from manip_sim.experiments.policies import policy_content, ROS
 from manip_sim.experiments.processes import run_in_processes, run_on_ray
 from manip_sim.experiments.run_folder import read_run, RECORDS, Shard, StoredRun
-from manip_sim.experiments.summary import Row, success_over
 from manip_sim.interface.parameter_spec import read_parameters
 from manip_sim.models.faults import FaultPlan
 from manip_sim.models.randomization import Randomization
@@ -35,7 +35,7 @@ from manip_sim.records.video import write_side_by_side
 from manip_sim.resources import share_directory
 from manip_sim.startup import processors
 from manip_sim.tasks import AnswerTime, Latency, Setting
-from manip_sim.tasks.late_answers import MEASURED
+from manip_sim.tasks.latency import MEASURED
 
 #: Files of noise in the package, ``config/noise_NAME.yaml``.
 _PROFILES = ('franka', 'ideal', 'ur')

@@ -14,8 +14,7 @@ try:
 except ImportError as error:
     raise ImportError("environments need gymnasium: pip install 'manip_sim[env]'") from error
 
-from manip_sim.env.task_env import TaskEnv
-from manip_sim.env.task_vector_env import TaskVectorEnv
+from manip_sim.env.task_env import TaskEnv, TaskVectorEnv
 from manip_sim.resources import PACKAGE
 from manip_sim.tasks import task_names
 
@@ -43,7 +42,7 @@ def register_tasks() -> None:
         if name not in gymnasium.registry:
             gymnasium.register(
                 id=name, entry_point='manip_sim.env.task_env:TaskEnv',
-                vector_entry_point='manip_sim.env.task_vector_env:TaskVectorEnv',
+                vector_entry_point='manip_sim.env.task_env:TaskVectorEnv',
                 kwargs=keywords, nondeterministic=False)
 
 

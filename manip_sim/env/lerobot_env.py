@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from manip_sim.env.task_env import TaskEnv
 from manip_sim.models.composing import Robot
-from manip_sim.tasks.observation import IMAGE, Observation
-from manip_sim.tasks.pictures import CameraLike
+from manip_sim.tasks.observation import CameraLike, IMAGE, Observation
 from manip_sim.validation import whole_number
 
 #: Beginning of LeRobot's own options of a reset, which mean nothing here.

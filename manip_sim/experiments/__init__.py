@@ -3,8 +3,8 @@
 
 """Success rates of policies: episodes of many seeds, in processes or on Ray."""
 
-from manip_sim.experiments.experiment import Experiment, parse_seeds, parse_shard, Worker
+from manip_sim.experiments.experiment import (
+    Experiment, parse_seeds, parse_shard, wilson_interval, Worker)
 from manip_sim.experiments.run_folder import RunFolder
-from manip_sim.experiments.summary import wilson_interval
 
 __all__ = ['Experiment', 'RunFolder', 'Worker', 'parse_seeds', 'parse_shard', 'wilson_interval']

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from manip_sim.errors import describe_choices, ModelError, RecordError
+from manip_sim.experiments.experiment import Row, wilson_interval, Z_95
 from manip_sim.experiments.run_folder import RECORDS, spans, StoredRun
-from manip_sim.experiments.summary import Row, wilson_interval, Z_95
 from manip_sim.quoting import format_value, pluralize
 from manip_sim.records.recorded import Record, RecordedEpisode
 

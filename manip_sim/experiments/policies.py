@@ -1,7 +1,11 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Policies by name: an expert, a class, a function, a TorchScript or ONNX file, a ROS node."""
+"""
+Policies by name: an expert, a class, a function, a TorchScript or ONNX file, a ROS node.
+
+A file beside that of a policy says which numbers of an episode it was made for.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import json
 import os
 from pathlib import Path
 import re
@@ -26,13 +31,12 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import describe_choices, ManipSimError, ModelError
-from manip_sim.quoting import one_line, quoted
+from manip_sim.quoting import format_value, one_line, quoted
 from manip_sim.ros_environment import check_ros_environment, missing_module
-from manip_sim.tasks import Episode
+from manip_sim.tasks import Episode, interface_of
+from manip_sim.tasks.episode import INTERFACE_FORMAT
 from manip_sim.tasks.expert import Policy
 from manip_sim.tasks.observation import IMAGE, Observation
-from manip_sim.tasks.policy_interface import (
-    check_interface, interface_of, read_interface, SUFFIX)
 
 EXPERT = 'expert'
 #: Before the namespace of a node.
@@ -447,3 +451,88 @@ def _torch_script(file: str, keys: Collection[str] | None) -> Callable[..., Any]
         with torch.no_grad():
             return module(tensors if takes_dict else tensors['']).numpy()
     return act
+
+
+#: After the name of a policy's file.
+SUFFIX = '.interface.json'
+#: Content of a file, by the key of its part.
+_KNOWN: Mapping[str, tuple[str, ...]] = {
+    '': ('format', 'control_hz', 'action', 'observation'),
+    'action': ('kind', 'names', 'units', 'bounds'),
+    'observation': ('shape', 'dtype', 'names', 'columns', 'units')}
+
+
+def read_interface(file: Path) -> dict[str, Any]:
+    """
+    Read the file beside a policy.
+
+    :param file: JSON as of :func:`interface_of`, of which parts may be missing
+    :raises ModelError: if it cannot be read, or holds something else
+    """
+    try:
+        content = json.loads(file.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise ModelError(f'{file} cannot be read: {error}') from error
+    _check_keys(content, '', file)
+    if content.get('format', INTERFACE_FORMAT) != INTERFACE_FORMAT:
+        raise ModelError(f'{file} has the format {format_value(content["format"])}, not '
+                         f'{INTERFACE_FORMAT}')
+    if 'action' in content:
+        _check_keys(content['action'], 'action', file)
+    observed = content.get('observation', {})
+    if not isinstance(observed, dict):
+        raise ModelError(f'{file}: observation must be an object, by key')
+    for described in observed.values():
+        _check_keys(described, 'observation', file)
+    return dict(content)
+
+
+def _check_keys(content: Any, part: str, file: Path) -> None:
+    if not isinstance(content, dict):
+        raise ModelError(f'{file}: {part or "an interface"} must be an object')
+    for key in content:
+        if key not in _KNOWN[part]:
+            raise ModelError(f'{file}: unknown key {quoted(key)}: '
+                             + describe_choices(key, _KNOWN[part]))
+
+
+def check_interface(expected: Mapping[str, Any], actual: Mapping[str, Any], source: str) -> None:
+    """
+    Reject a policy in episodes that have another rate, order or unit than it was made for.
+
+    :param expected: of the policy, as :func:`read_interface` returns it; missing values may
+        be anything, and episodes may observe more
+    :param actual: of the episodes, as :func:`interface_of` returns it
+    :param source: of the former, for the message
+    :raises ModelError: with the first difference
+    """
+    for name, needed, present in _values(expected, actual):
+        if isinstance(needed, list) and isinstance(present, list) and len(needed) == len(present):
+            for index, (item, other) in enumerate(zip(needed, present)):
+                _compare(f'{name}, number {index}', item, other, source)
+        _compare(name, needed, present, source)
+
+
+def _values(expected: Mapping[str, Any], actual: Mapping[str, Any]
+            ) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the name of each compared value, its expected and its actual value."""
+    if 'control_hz' in expected:
+        yield 'control_hz', expected['control_hz'], actual['control_hz']
+    for key, needed in expected.get('action', {}).items():
+        yield f'{key} of actions', needed, actual['action'][key]
+    for name, described in expected.get('observation', {}).items():
+        present = actual['observation'].get(name)
+        if present is None:
+            yield f'observation {quoted(name)}', 'there', 'not there'
+        else:
+            for key, needed in described.items():
+                yield f'{key} of {name}', needed, present.get(key)
+
+
+def _compare(name: str, needed: Any, present: Any, source: str) -> None:
+    same = needed == present or (
+        isinstance(needed, (int, float)) and isinstance(present, (int, float))
+        and abs(needed - present) <= 1e-6 * abs(present))
+    if not same:
+        raise ModelError(f'{source}: the policy was made for other episodes: {name}: it needs '
+                         f'{format_value(needed, 100)}, this is {format_value(present, 100)}')

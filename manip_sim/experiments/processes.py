@@ -23,9 +23,8 @@ import time
 from typing import Any
 
 from manip_sim.errors import ManipSimError
-from manip_sim.experiments.experiment import Experiment, Worker
+from manip_sim.experiments.experiment import Experiment, Row, Worker
 from manip_sim.experiments.policies import ROS
-from manip_sim.experiments.summary import Row
 from manip_sim.quoting import one_line
 from manip_sim.startup import processors, use_one_blas_thread
 

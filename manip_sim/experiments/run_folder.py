@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.experiments.experiment import parse_seeds
-from manip_sim.experiments.summary import Row, summarize, TIMES
+from manip_sim.experiments.experiment import parse_seeds, Row, summarize, TIMES
 from manip_sim.quoting import format_value
 
 #: Files in the folder; the first says what the run is. The last is a folder.
@@ -108,7 +107,7 @@ class RunFolder:
         """
         Write what the policy gets and gives, a file that can be put beside a policy.
 
-        :param interface: as ``manip_sim.tasks.policy_interface.interface_of`` returns it
+        :param interface: as ``manip_sim.tasks.interface_of`` returns it
         """
         _replace(self.path / INTERFACE, json.dumps(interface, indent=1).encode())
 

@@ -10,13 +10,10 @@ The modules of tasks are imported, which registers them.
 from __future__ import annotations
 
 from manip_sim.tasks import cubes, fixtures, handling  # noqa: F401
-from manip_sim.tasks.episode import Episode, start
+from manip_sim.tasks.episode import Episode, interface_of, LateAnswers, Setting, start
 from manip_sim.tasks.episode_actions import ACTIONS, PoseActions
 from manip_sim.tasks.expert import Expert
-from manip_sim.tasks.late_answers import AnswerTime, LateAnswers
-from manip_sim.tasks.latency import Latency
-from manip_sim.tasks.policy_interface import interface_of
-from manip_sim.tasks.setting import Setting
+from manip_sim.tasks.latency import AnswerTime, Latency
 from manip_sim.tasks.task import create_task, Task, TASKS
 
 

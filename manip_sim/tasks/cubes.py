@@ -16,9 +16,9 @@ from manip_sim.models.arenas import Arena, create_arena
 from manip_sim.models.object_creation import Description
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert, Hold, pointing_down, sides
-from manip_sim.tasks.grasping import held_only_by, speed, touching
 from manip_sim.tasks.placing import (
-    add_goal, draw, draw_apart, draw_yaw, move_mocap, nearness, place, position_of, rotation_of)
+    add_goal, draw, draw_apart, draw_yaw, held_only_by, move_mocap, nearness, place, position_of,
+    rotation_of, speed, touching)
 from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT
 
 CUBE_M = 0.04

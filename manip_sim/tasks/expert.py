@@ -20,7 +20,7 @@ from manip_sim.physics.entities import pulling_bodies
 from manip_sim.quoting import quoted_names
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.episode_actions import ArmAction, PoseActions, STEP_M
-from manip_sim.tasks.grasping import bodies_of_gripper, pressure, touching
+from manip_sim.tasks.placing import bodies_of_gripper, pressure, touching
 
 _LOGGER = logging.getLogger(__name__)
 

@@ -19,9 +19,9 @@ from manip_sim.models.object_creation import Description
 from manip_sim.physics.entities import read_contacts
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert, fingers_side_by_side, Hold, pointing_down, sides
-from manip_sim.tasks.grasping import bodies_of_gripper
 from manip_sim.tasks.placing import (
-    add_goal, draw, draw_apart, draw_yaw, move_mocap, nearness, place, position_of, rotation_of)
+    add_goal, bodies_of_gripper, draw, draw_apart, draw_yaw, move_mocap, nearness, place,
+    position_of, rotation_of)
 from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT
 
 #: It is open if it is pulled out by this [m].

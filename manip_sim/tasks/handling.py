@@ -24,8 +24,8 @@ from manip_sim.models.object_creation import Description
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.tasks.expert import Expert, Hold, pointing_down, sides
-from manip_sim.tasks.grasping import held_only_by
-from manip_sim.tasks.placing import draw, draw_yaw, nearness, place, position_of, rotation_of
+from manip_sim.tasks.placing import (
+    draw, draw_yaw, held_only_by, nearness, place, position_of, rotation_of)
 from manip_sim.tasks.task import TABLE_M, Task, TOO_SHORT, usable_arms
 
 BELT, PART = 'belt', 'part'

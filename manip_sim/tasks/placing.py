@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Draw positions and place objects and goals in a simulation.
+Draw positions, place objects and goals in a simulation, and tell which objects are held.
 
 Only ``random()`` draws, with sums and products after it: the same bits with every NumPy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 import math
 
 import mujoco
@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import length, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena
+from manip_sim.physics.contacts import bodies_in_contact, pulling_bodies
 from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.simulation import Simulation
+from manip_sim.simulation import SimulatedRobot, Simulation
 
 _GOAL_RGBA = (0.1, 0.8, 0.2, 0.5)
 
@@ -126,3 +127,72 @@ def nearness(distance_m: float, scale_m: float = 0.1) -> float:
     :param scale_m: [m]
     """
     return scale_m / (scale_m + distance_m)
+
+
+def touching(simulation: Simulation, body: str) -> set[int]:
+    """
+    Return the ids of the bodies that touch an object, by the contacts that carry forces.
+
+    :param body: of the object, which is one body
+    """
+    object_id = simulation.model.body(body).id
+    _, pairs = bodies_in_contact(simulation.model, simulation.data)
+    bodies: set[int] = set(pairs[pairs[:, 0] == object_id, 1].tolist())
+    return bodies | set(pairs[pairs[:, 1] == object_id, 0].tolist())
+
+
+def bodies_of_gripper(simulation: Simulation, robot: SimulatedRobot, arm: str) -> set[int]:
+    """
+    Return the ids of the bodies of a gripper.
+
+    :param arm: such as ``right``
+    """
+    gripper = robot.parts[f'{arm}/gripper'].gripper
+    assert gripper is not None
+    return {int(simulation.model.body(name).id) for name in gripper.bodies}
+
+
+def pressure(simulation: Simulation, bodies: Collection[int], on: Collection[str] = (),
+             but: Collection[str] = ()) -> float:
+    """
+    Return the sum of the normal forces between bodies and others [N].
+
+    :param bodies: ids of the bodies; forces between them do not count
+    :param on: names of the others; none: all
+    :param but: names of others that do not count
+    """
+    model, data = simulation.model, simulation.data
+    total, force = 0.0, np.empty(6)
+    used, pairs = bodies_in_contact(model, data)
+    for number, (first, other) in zip(used.tolist(), pairs.tolist()):
+        if (first in bodies) == (other in bodies):
+            continue
+        name = model.body(other if first in bodies else first).name
+        if name not in but and (not on or name in on):
+            mujoco.mj_contactForce(model, data, number, force)
+            total += float(force[0])
+    return total
+
+
+def held_only_by(simulation: Simulation, body: str, robot: SimulatedRobot, arm: str) -> bool:
+    """
+    Return whether an arm holds an object: its gripper touches it, and nothing else does.
+
+    Two bodies of the gripper have to touch it, or one that sucks it.
+
+    :param body: of the object
+    :param robot: that has the arm
+    :param arm: such as ``right``
+    """
+    touched = touching(simulation, body)
+    sucked = touched & pulling_bodies(simulation.model, simulation.data)
+    return touched <= bodies_of_gripper(simulation, robot, arm) and (
+        len(touched) >= 2 or bool(sucked))
+
+
+def speed(simulation: Simulation, body: str) -> float:
+    """Return how fast a body moves in ``world`` [m/s]."""
+    velocity = np.empty(6)
+    mujoco.mj_objectVelocity(simulation.model, simulation.data, int(mujoco.mjtObj.mjOBJ_BODY),
+                             simulation.model.body(body).id, velocity, 0)
+    return float(mujoco.mju_norm3(velocity[3:]))

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from manip_sim.experiments.summary import success_over
+from manip_sim.experiments.experiment import success_over
 
 FOUND = [(0.2, {'success_rate': 0.25, 'success_rate_95': (0.1, 0.5)}),
          (0.0, {'success_rate': 1.0, 'success_rate_95': (0.8, 1.0)}),

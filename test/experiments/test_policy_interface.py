@@ -16,10 +16,9 @@ pytest.importorskip('tqdm', reason='tqdm is not installed')
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ModelError  # noqa: E402
 from manip_sim.experiments import Experiment, Worker  # noqa: E402
-from manip_sim.experiments.policies import inputs, load_policy  # noqa: E402
-from manip_sim.tasks import Setting  # noqa: E402
-from manip_sim.tasks.policy_interface import (  # noqa: E402
-    check_interface, interface_of, read_interface)
+from manip_sim.experiments.policies import (  # noqa: E402
+    check_interface, inputs, load_policy, read_interface)
+from manip_sim.tasks import interface_of, Setting  # noqa: E402
 
 POLICIES = Path(__file__).with_name('policies_under_test.py')
 

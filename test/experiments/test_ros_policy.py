@@ -22,8 +22,8 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import Experiment, Worker  # noqa: E402
+from manip_sim.experiments.experiment import TIMES  # noqa: E402
 from manip_sim.experiments.ros_policy import RosPolicy  # noqa: E402
-from manip_sim.experiments.summary import TIMES  # noqa: E402
 from manip_sim.simulation import Simulation  # noqa: E402
 from manip_sim.tasks import create_task, Episode, Setting  # noqa: E402
 from manip_sim.testing.domains import reserve_domain  # noqa: E402

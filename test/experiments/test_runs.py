@@ -26,9 +26,9 @@ from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import ManipSimError, ModelError  # noqa: E402
 from manip_sim.experiments import (  # noqa: E402
     Experiment, parse_seeds, parse_shard, processes, wilson_interval, Worker)
+from manip_sim.experiments.experiment import TIMES  # noqa: E402
 from manip_sim.experiments.policies import inputs, load_policy, policy_content  # noqa: E402
 from manip_sim.experiments.run_folder import spans  # noqa: E402
-from manip_sim.experiments.summary import TIMES  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
 
 POLICIES = Path(__file__).with_name('policies_under_test.py')

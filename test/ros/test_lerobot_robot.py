@@ -17,7 +17,7 @@ from manip_sim.errors import CommandError, ManipSimError, UnknownNameError
 from manip_sim.lerobot_units import joint_of, SO101_MOTORS, so101_scales
 
 pytest.importorskip('gymnasium', reason='gymnasium is not installed')
-from manip_sim.env.lerobot_robot import NodeRobot  # noqa: E402
+from manip_sim.env.ros import NodeRobot  # noqa: E402
 
 #: Ranges of an SO-101 [rad].
 RANGES = {'a_shoulder_pan': (-1.92, 1.92), 'a_shoulder_lift': (-1.75, 1.75),
@@ -126,14 +126,14 @@ def test_images_are_those_of_the_nodes_cameras_in_their_size(serve, gl):
 
 @pytest.mark.full
 def test_what_a_node_lacks_is_told(serve, monkeypatch):
-    monkeypatch.setattr('manip_sim.env.lerobot_robot._PATIENCE_S', 2.0)
+    monkeypatch.setattr('manip_sim.env.ros._ROBOT_PATIENCE_S', 2.0)
     serve(robot='SO101')
     with pytest.raises(ManipSimError, match="nothing on '/left/gripper/joint_states' for 2 s"):
         NodeRobot(parts=['arm', 'left/gripper'], domain_id=DOMAIN).connect()
 
 
 def test_a_node_that_has_ended_is_told(serve, client, monkeypatch):
-    monkeypatch.setattr('manip_sim.env.lerobot_robot._OLDEST_S', 0.0)
+    monkeypatch.setattr('manip_sim.env.ros._OLDEST_S', 0.0)
     serve(robot='SO101')
     robot = NodeRobot(domain_id=DOMAIN)
     robot.connect()
@@ -150,7 +150,7 @@ def test_nothing_of_an_earlier_connection_is_taken_for_the_present(sim_process, 
     robot.close()
     node.send_signal(signal.SIGINT)
     node.communicate(timeout=60.0)
-    monkeypatch.setattr('manip_sim.env.lerobot_robot._PATIENCE_S', 2.0)
+    monkeypatch.setattr('manip_sim.env.ros._ROBOT_PATIENCE_S', 2.0)
     with pytest.raises(ManipSimError, match="nothing on '/robot_description', '/joint_states', "):
         robot.connect()
 

@@ -12,7 +12,7 @@ from manip_sim.models import compose
 from manip_sim.models.archive import load_archive
 from manip_sim.models.grippers import create_gripper, gripper_names
 from manip_sim.simulation import Simulation
-from manip_sim.tasks.setting import Setting
+from manip_sim.tasks import Setting
 
 BALL_RADIUS_M, DEPTH_M = 0.03, 0.0006
 WITH_PADS = [name for name in gripper_names()

@@ -12,7 +12,7 @@ import pytest
 from manip_sim.errors import ManipSimError, SimulationEnded
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
-from manip_sim.tasks.pictures import Pictures, PictureThreads
+from manip_sim.tasks.observation import Pictures, PictureThreads
 
 SIZE = (64, 48)
 

@@ -16,8 +16,7 @@ from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.robots import create_robot
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode, Setting, Task, task_names
-from manip_sim.tasks.grasping import bodies_of_gripper, held_only_by, pressure
-from manip_sim.tasks.placing import place
+from manip_sim.tasks.placing import bodies_of_gripper, held_only_by, place, pressure
 from manip_sim.tasks.task import TASKS
 
 ARMS = ('Panda', 'UR5e', 'IIWA', 'Sawyer', 'Kinova3', 'FR3', 'XArm7')
