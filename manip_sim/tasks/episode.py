@@ -30,7 +30,7 @@ from manip_sim.models.faults import FaultPlan
 from manip_sim.models.placements import checked_seed
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import format_value
-from manip_sim.sensing.delays import Delay, ROUNDING
+from manip_sim.sensing.robot_sensing import Delay, ROUNDING
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.episode_start import Sample
 from manip_sim.tasks.episode_actions import create_actions

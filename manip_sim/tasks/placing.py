@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from manip_sim.algebra import length, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.models.arenas import Arena
-from manip_sim.physics.contacts import bodies_in_contact, pulling_bodies
+from manip_sim.physics.entities import bodies_in_contact, pulling_bodies
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Simulation
 
