@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from manip_sim.arrays import FloatArray
 from manip_sim.interface.topics import Scope, Topic
 from manip_sim.interface.world_topics import topics_of_cameras, truths
-from manip_sim.rendering.offscreen import Intrinsics
+from manip_sim.rendering import Intrinsics
 from manip_sim.sensing.instruments import (
     ACCELEROMETER, GYRO, IMU, Instrument, MAGNETIC_FIELD, ORIENTATION, RANGE, VALUES, WRENCH)
 from manip_sim.sensing.lidars import Lidar
@@ -89,7 +89,7 @@ class Channel:
         """
         Fill a new message of the present instant by the sensor of another package.
 
-        :param message: of ROS, or of ``manip_sim.records.record_file``
+        :param message: of ROS, or of ``manip_sim.records.recorder``
         :returns: the message; None if there is nothing to publish
         :raises Exception: anything
         """

@@ -1,13 +1,14 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compose a world from the options of a command line, through the parameters of the node."""
+"""Compose a world from options, through the parameters of the node; the origin of its parts."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
@@ -16,8 +17,10 @@ from manip_sim.interface.composition import (
 from manip_sim.interface.parameter_spec import GivenParameters, read_parameters
 from manip_sim.models import arenas
 from manip_sim.models.arenas import Arena
+from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.physics.parts import find_parts
 from manip_sim.quoting import quoted
+from manip_sim.resources import PACKAGE, share_directory
 
 #: The options with the values of the parameters of the same name.
 _PARAMETERS = ('robot', 'gripper', 'base', 'arena', 'idn', 'prefix', 'position', 'orientation',
@@ -112,3 +115,31 @@ def _as(default: bool | float, name: str, text: str) -> bool | float:
         return float(text)
     except ValueError as error:
         raise ModelError(f'{name} must be a number, got {quoted(text)}') from error
+
+
+def origin(part: MujocoXMLModel, kind: str) -> tuple[str, str]:
+    """
+    Return where a part comes from, and its file.
+
+    :param kind: such as ``robots``
+    :returns: ``manip_sim``, the entry point and distribution, the package, or the folder that
+        declares it; and the file, relative to the share folder of ``manip_sim`` if it is in there
+    """
+    share, source = share_directory(), package_of(type(part), kind)
+    if source != PACKAGE:
+        return source, str(part.file)
+    if part.file.is_relative_to(share):
+        return PACKAGE, str(part.file.relative_to(share))
+    return f'folder {part.file.parent}', part.file.name
+
+
+def package_of(cls: type, kind: str) -> str:
+    """Return the package of a class, with the entry point that offers it."""
+    package = cls.__module__.partition('.')[0]
+    if package == PACKAGE:
+        return PACKAGE
+    for entry in entry_points(group=f'{PACKAGE}.{kind}'):
+        if entry.value.partition(':')[0].partition('.')[0] == package:
+            source = f' of {entry.dist.name}' if entry.dist else ''
+            return f'entry point {entry.name}{source}'
+    return f'package {package}'

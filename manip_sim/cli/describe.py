@@ -1,14 +1,13 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""``manip_sim list`` and ``describe``: parts that there are, and a composition of them."""
+"""``manip_sim describe``: a composition, in tables, JSON or YAML."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
-from importlib.metadata import entry_points
 import json
 import logging
 from typing import Any
@@ -18,33 +17,21 @@ import numpy as np
 import yaml
 
 from manip_sim.algebra import wxyz_to_xyzw
-from manip_sim.cli.command_line import KINDS
-from manip_sim.cli.composing_options import arena_parameters, compose_from, Composed
+from manip_sim.cli.composing_options import compose_from, Composed, origin
 from manip_sim.cli.output import number, span, table, terminal_width
-from manip_sim.control.modes import EFFORT, POSITION
 from manip_sim.errors import ModelError
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.offered_sensors import offered_topics
-from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.interface.world_topics import actions_of, topics_of_world
-from manip_sim.models import arena_names, create_arena, World
 from manip_sim.models.actuators import (
     actuated_joints, declared_velocity, effort_range, moved_joints, position_servos)
-from manip_sim.models.bases import base_names, create_base, MobileBaseModel, RobotBaseModel
-from manip_sim.models.grippers import create_gripper, gripper_names
-from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.object_model import SIZES
-from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names, RobotModel
+from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer.links import subtree
 from manip_sim.models.world import inferred_by_model
-from manip_sim.physics.parts import Part
-from manip_sim.quoting import one_line, pluralize
-from manip_sim.resources import PACKAGE, share_directory
+from manip_sim.quoting import pluralize
 from manip_sim.sensing.instruments import sensor_type
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.tasks import task_names
-from manip_sim.tasks.task import TASKS
 
 _TARGET = {
     int(mujoco.mjtTrn.mjTRN_JOINT): 'joint', int(mujoco.mjtTrn.mjTRN_JOINTINPARENT): 'joint',
@@ -93,7 +80,8 @@ def _servo_type(model: mujoco.MjModel, index: int) -> str:
 def sensor_rows(model: mujoco.MjModel, robot: RobotModel) -> list[Row]:
     rows = []
     # Joints of a hand in the robot's own file are the robot's too.
-    for name in dict.fromkeys(name for part in _parts(robot) for name in part.sensors):
+    for name in dict.fromkeys(
+            name for part in (robot, *robot.models) for name in part.sensors):
         index = int(model.sensor(name).id)
         kind = int(model.sensor_objtype[index])
         element = int(model.sensor_objid[index])
@@ -115,7 +103,8 @@ def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) ->
             'mass_kg': float(model.body_mass[body]),
             'position_m': data.xpos[body].tolist(),
             'quat_xyzw': wxyz_to_xyzw(data.xquat[body]).tolist()})
-    for name in dict.fromkeys(site for part in _parts(robot) for site in _important(part)):
+    for name in dict.fromkeys(
+            site for part in (robot, *robot.models) for site in _important(part)):
         site, quat = int(model.site(name).id), np.empty(4)
         mujoco.mju_mat2Quat(quat, data.site_xmat[site])
         rows.append({
@@ -126,11 +115,10 @@ def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) ->
     return rows
 
 
-def _important(part: MujocoXMLModel) -> list[str]:
+def _important(part: Any) -> list[str]:
     """Return the sites of a part that have a role, with the ``ft_frame`` of its sensors."""
-    names = list(part.important_sites.values())
     frame = part.correct_naming('ft_frame')
-    return [frame, *names] if frame in part.sites else names
+    return [*([frame] if frame in part.sites else ()), *part.important_sites.values()]
 
 
 def camera_rows(model: mujoco.MjModel) -> list[Row]:
@@ -146,10 +134,6 @@ def camera_rows(model: mujoco.MjModel) -> list[Row]:
     return rows
 
 
-def _parts(robot: RobotModel) -> list[MujocoXMLModel]:
-    return [robot, *robot.models]
-
-
 def describe(composed: Composed) -> Row:
     """
     Return what a world consists of; of several robots, names of parts begin with the robot's.
@@ -163,7 +147,7 @@ def describe(composed: Composed) -> Row:
     served = list(zip(composed.composition.scopes, simulation.robots.values()))
     declare_parts(parameters, [(scope, robot.parts) for scope, robot in served])
     cameras = declare_cameras(parameters, world, model)
-    of_robots = [_of_robot(parameters, simulation, model, scope, robot) for scope, robot in served]
+    of_robots = [_of_robot(composed, simulation, model, scope, robot) for scope, robot in served]
     topics = topics_of_world(
         simulation, dict(served), {name: images.depth for name, images in cameras.items()},
         composed.composition.task is not None)
@@ -192,17 +176,23 @@ def describe(composed: Composed) -> Row:
     }
 
 
-def _of_robot(parameters: GivenParameters, simulation: Simulation, model: mujoco.MjModel,
-              scope: Scope, robot: SimulatedRobot) -> dict[str, list[Row]]:
+def _of_robot(composed: Composed, simulation: Simulation, model: mujoco.MjModel, scope: Scope,
+              robot: SimulatedRobot) -> dict[str, list[Row]]:
     """Return the sections of one robot; names of its parts begin with its scope."""
-    def modes(part: str) -> Any:
-        return parameters.value(scope.parameter(f'control_mode.{part}'))
-
     parts = {name: scope.topic(name) for name in robot.parts}
-    whole = robot.robot_model
+    whole, rows = robot.robot_model, []
+    for name, part in robot.parts.items():
+        mode = None
+        if part.gripper is not None:
+            mode = 'position'
+        elif part.actuators:
+            mode = composed.parameters.value(scope.parameter(f'control_mode.{name}'))
+        rows.append({
+            'name': parts[name], 'consists_of': [parts[other] for other in part.atomic],
+            'joints': list(part.joints), 'actuators': list(part.actuators), 'control_mode': mode})
     return {
         'models': [{'robot': scope.name, **row} for row in _models(whole, model)],
-        'parts': [_part(part, parts, modes) for part in robot.parts.values()],
+        'parts': rows,
         'joints': list(_joints(simulation.model, robot, model, parts)),
         'actuators': actuator_rows(model, _of_parts(robot, 'actuators', parts)),
         'sensors': sensor_rows(model, whole),
@@ -213,28 +203,18 @@ def _models(robot: RobotModel, model: mujoco.MjModel) -> Iterator[Row]:
     grippers = robot.grippers if isinstance(robot, ManipulatorModel) else {}
     # By part, not by prefix: a hand in the robot's own file has that of the robot.
     arm_of = {id(gripper): arm for arm, gripper in grippers.items()}
-    parts: list[MujocoXMLModel] = [robot, *robot.models]
     mass = {id(part): sum(float(model.body(body).mass[0]) for body in part.bodies)
             for part in robot.models}
     # The rest: on a mobile base the robot's root is in two bodies.
     mass[id(robot)] = float(model.body(robot.root_body).subtreemass[0]) - sum(mass.values())
-    for part in parts:
-        kind = ('robots' if part is robot else
-                'bases' if isinstance(part, RobotBaseModel) else 'grippers')
+    for part in (robot, *robot.models):
+        kind = ('robots' if part is robot else 'grippers' if id(part) in arm_of else 'bases')
         source, file = origin(part, kind)
         yield {
             'kind': kind[:-1], 'class': type(part).__name__, 'prefix': part.naming_prefix,
             'arm': arm_of.get(id(part)), 'mass_kg': mass[id(part)],
             'joints': len(part.joints), 'actuators': len(part.actuators), 'from': source,
             'file': file}
-
-
-def _part(part: Part, names: Mapping[str, str], mode_of: Callable[[str], Any]) -> Row:
-    commanded = part.gripper is None and part.actuators
-    return {'name': names[part.name], 'consists_of': [names[name] for name in part.atomic],
-            'joints': list(part.joints), 'actuators': list(part.actuators),
-            'control_mode': (mode_of(part.name) if commanded
-                             else POSITION.name if part.gripper is not None else None)}
 
 
 def _of_parts(robot: SimulatedRobot, elements: str, names: Mapping[str, str]) -> dict[str, str]:
@@ -273,7 +253,7 @@ def _limits_of_driven(simulated: Any, robot: SimulatedRobot) -> dict[str, Row]:
         if part.gripper is not None or part.atomic != (name,):
             continue
         joints, indices = robot.joints, robot.joints.indices_of(name)
-        efforts = joints.ranges(indices, [EFFORT.name] * len(joints.names))
+        efforts = joints.ranges(indices, ['effort'] * len(joints.names))
         for index, velocity, effort in zip(indices, joints.velocity_limits(indices), efforts):
             joint = joints.names[index]
             is_limited = simulated.jnt_actfrclimited[simulated.joint(joint).id]
@@ -348,7 +328,7 @@ _COLUMNS: dict[str, tuple[str, tuple[str, ...], Callable[[Row], tuple[str, ...]]
 def run(options: argparse.Namespace) -> tuple[str, int]:
     composed = compose_from(options)
     if options.yaml:
-        return _as_yaml(composed.composition.world), 0
+        return _as_yaml(composed), 0
     description = describe(composed)
     if options.json:
         return json.dumps(description, indent=2, allow_nan=False), 0
@@ -358,13 +338,14 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     return '\n\n'.join([_summary(description), *filter(None, tables)]), 0
 
 
-def _as_yaml(world: World) -> str:
+def _as_yaml(composed: Composed) -> str:
     """Return the parts inferred from the robot's file, as the YAML file that describes it."""
-    from manip_sim.models.files import FileRobot  # That needs pydantic.
-    if len(world.robots) != 1 or not isinstance(world.robots[0], FileRobot):
+    robots = composed.composition.world.robots
+    # Of robots, those from files alone have a description.
+    if len(robots) != 1 or not hasattr(robots[0], 'described'):
         raise ModelError('describe --yaml is for one robot from a file, such as --robot arm.xml; '
                          'robots of the catalogue are described in assets/robots')
-    robot = world.robots[0]
+    robot: Any = robots[0]
     lines = [f'# Save this as {robot.file.stem}.yaml beside {robot.file.name}, and edit what was '
              'inferred wrongly:', *(f'# - {sentence}' for sentence in robot.inferred)]
     return '\n'.join([*lines, yaml.safe_dump(
@@ -398,157 +379,3 @@ def _value(value: Any) -> str:
     if isinstance(value, list):
         return f'[{", ".join(map(str, value))}]'
     return str(value) if value != '' else "''"
-
-
-_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-
-
-def list_parts(options: argparse.Namespace) -> tuple[str, int]:
-    """Return tables of all kinds or one, or JSON, and 1 if a part cannot be created, else 0."""
-    kinds = KINDS if options.kind is None else (options.kind,)
-    rows_by_title = {title: rows for kind in kinds for title, rows in _SECTIONS[kind]().items()}
-    failed = any('error' in row for rows in rows_by_title.values() for row in rows)
-    if options.json:
-        plain = {_key(title): [{_key(name): value for name, value in row.items()} for row in rows]
-                 for title, rows in rows_by_title.items()}
-        return json.dumps(plain, indent=2, allow_nan=False), int(failed)
-    texts = [_table(title, rows) for title, rows in rows_by_title.items()]
-    location = f'Files of {PACKAGE} lie in {share_directory()}'
-    return '\n\n'.join([*filter(None, texts), location]), int(failed)
-
-
-def _key(name: str) -> str:
-    return name.replace(' ', '_')
-
-
-def _table(title: str, rows: list[Row]) -> str:
-    header = next((list(row) for row in rows if 'error' not in row), ['name', 'error'])
-    cells = [[row['name'], *['-'] * (len(header) - 2), row['error']] if 'error' in row else
-             [_cell(row[name]) for name in header] for row in rows]
-    return table(title.capitalize(), header, cells, terminal_width())
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, dict):
-        value = [f'{name}={str(default).lower()}' for name, default in value.items()]
-    if isinstance(value, list):
-        return ', '.join(value) or '-'
-    return number(value) if isinstance(value, float) else '-' if value is None else str(value)
-
-
-def origin(part: MujocoXMLModel, kind: str) -> tuple[str, str]:
-    """
-    Return where a part comes from, and its file.
-
-    :param kind: such as ``robots``
-    :returns: ``manip_sim``, the entry point and distribution, the package, or the folder that
-        declares it; and the file, relative to the share folder of ``manip_sim`` if it is in there
-    """
-    share, source = share_directory(), _package(type(part), kind)
-    if source != PACKAGE:
-        return source, str(part.file)
-    if part.file.is_relative_to(share):
-        return PACKAGE, str(part.file.relative_to(share))
-    return f'folder {part.file.parent}', part.file.name
-
-
-def _package(cls: type, kind: str) -> str:
-    """Return the package of a class, with the entry point that offers it."""
-    package = cls.__module__.partition('.')[0]
-    if package == PACKAGE:
-        return PACKAGE
-    for entry in entry_points(group=f'{PACKAGE}.{kind}'):
-        if entry.value.partition(':')[0].partition('.')[0] == package:
-            source = f' of {entry.dist.name}' if entry.dist else ''
-            return f'entry point {entry.name}{source}'
-    return f'package {package}'
-
-
-def _part_rows(kind: str, names: list[str], create: Callable[[str], Any],
-               columns: Callable[[str, Any], Row]) -> dict[str, list[Row]]:
-    """Return a row for each part of a kind; for one that cannot be created, with the reason."""
-    def row(name: str) -> Row:
-        try:
-            part = create(name)
-            properties = columns(name, part)
-        except Exception as error:  # A class of another package may raise anything.
-            reason = f'cannot be created: {type(error).__name__}: {error}'
-            return {'name': name, 'error': one_line(reason)}
-        source, file = origin(part, kind)
-        return {'name': name, **properties, 'from': source, 'file': file}
-    return {kind: [row(name) for name in names]}
-
-
-def _robots() -> dict[str, list[Row]]:
-    def columns(_: str, robot: Any) -> Row:
-        has_arms = isinstance(robot, ManipulatorModel)
-        return {'arms': len(robot.arms) if has_arms else 0, 'joints': len(robot.joints),
-                'default gripper': list(dict.fromkeys(
-                    robot.declared_grippers.values() if has_arms else ())),
-                'default base': robot.default_base}
-    return _part_rows('robots', robot_names(), create_robot, columns)
-
-
-def _grippers() -> dict[str, list[Row]]:
-    return _part_rows('grippers', gripper_names(), create_gripper, lambda _, gripper: {
-        'joints': len(gripper.joints), 'actuators': len(gripper.actuators),
-        'length of actions': gripper.dof})
-
-
-def _bases() -> dict[str, list[Row]]:
-    return _part_rows('bases', base_names(), create_base, lambda _, base: {
-        'kind': 'mobile' if isinstance(base, MobileBaseModel) else 'mount',
-        'joints': len(base.joints)})
-
-
-def _arenas() -> dict[str, list[Row]]:
-    return _part_rows('arenas', arena_names(), create_arena, lambda name, _: {
-        'parameters and defaults': arena_parameters(name)})
-
-
-def _objects() -> dict[str, list[Row]]:
-    """Return the shapes of objects, and the free bodies of arenas, also the optional ones."""
-    return {'shapes of objects': [{'name': shape, 'size m': size}
-                                  for shape, size in (
-                                      *((shape, size) for shape, (_, size) in SIZES.items()),
-                                      ('mesh', 'that of its file, with a scale'))],
-            'objects': list(_free_bodies_of_arenas())}
-
-
-def _free_bodies_of_arenas() -> Iterator[Row]:
-    for name in arena_names():
-        switches = [key for key, default in arena_parameters(name).items()
-                    if isinstance(default, bool)]
-        always = free_bodies(create_arena(name, **dict.fromkeys(switches, False)).compile())
-        everything = create_arena(name, **dict.fromkeys(switches, True))
-        source, file = origin(everything, 'arenas')
-        for body, mass in free_bodies(everything.compile()).items():
-            yield {'name': body, 'mass kg': mass, 'arena': name, 'parameters': (
-                {} if body in always else dict.fromkeys(switches, True)), 'from': source,
-                'file': file}
-
-
-def _tasks() -> dict[str, list[Row]]:
-    def row(name: str) -> Row:
-        try:
-            task = TASKS.get(name)
-        except ModelError as error:
-            return {'name': name, 'error': one_line(str(error))}
-        arms = max(task.arms_needed, task.arms_in_all)
-        return {'name': name, 'instruction': task.instruction, 'arms': arms,
-                'horizon s': task.horizon_s, 'not for': [*task.unable],
-                'expert fails': [f'{robot}: {often}' for robot, often in (
-                    task.expert_fails.items())],
-                'from': _package(task, 'tasks')}
-    return {'tasks': [row(name) for name in task_names()]}
-
-
-def free_bodies(model: mujoco.MjModel) -> dict[str, float]:
-    """Return the bodies of a model with free joints, and their masses [kg]."""
-    bodies = model.jnt_bodyid[np.flatnonzero(model.jnt_type == _FREE)].tolist()
-    return {model.body(body).name: float(model.body_subtreemass[body]) for body in bodies}
-
-
-_SECTIONS: dict[str, Callable[[], dict[str, list[Row]]]] = {
-    'robots': _robots, 'grippers': _grippers, 'bases': _bases, 'arenas': _arenas,
-    'objects': _objects, 'tasks': _tasks}

@@ -65,8 +65,8 @@ def _said(world: World, load: Callable[[], mujoco.MjModel]) -> str:
 def _write_packages(options: argparse.Namespace) -> list[str]:
     """Write packages for MoveIt and ros2_control, and return their names with notes on them."""
     from manip_sim.moveit import write_package
-    from manip_sim.moveit.control_package import write_control_package
     from manip_sim.moveit.package import check_folder as check_package
+    from manip_sim.moveit.package import write_control_package
     composed, lines, controllers = compose_from(options), [], None
     world = composed.composition.world
     if isinstance(options.ros2_control, Path):

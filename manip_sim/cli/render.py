@@ -235,7 +235,7 @@ def picture_of_state(model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int
     import mujoco
     from PIL import Image
 
-    from manip_sim.rendering.offscreen import cannot_render, OffscreenRenderer
+    from manip_sim.rendering import cannot_render, OffscreenRenderer
 
     corners = _visible_corners(model, data)
     if not len(corners):

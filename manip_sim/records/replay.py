@@ -21,9 +21,8 @@ from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.registry import is_of_others, is_path
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import one_line, pluralize, quoted
-from manip_sim.records.recorded import Record, RecordedEpisode
+from manip_sim.records.recorded import files_of, parse_json, Record, RecordedEpisode
 from manip_sim.records.recorder import physics_state
-from manip_sim.records.untrusted_records import files_of, parse_json
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.journal_entries import (

@@ -20,7 +20,7 @@ from manip_sim.models.archive import load_archive
 from manip_sim.quoting import one_line
 from manip_sim.records.recorded import RecordedEpisode
 from manip_sim.records.recorder import STATE_PARTS
-from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.rendering import OffscreenRenderer
 
 _VIDEO_MB = 200
 #: H.264 with a key frame every other image, as LeRobot reads images in any order.

@@ -22,7 +22,7 @@ from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import BY_NAME, Topic
 from manip_sim.interface.world_topics import truths
 from manip_sim.models.cameras import ImageSettings
-from manip_sim.rendering.offscreen import BACKGROUND, choose_gl, Intrinsics, intrinsics_of, Picture
+from manip_sim.rendering import BACKGROUND, choose_gl, Intrinsics, intrinsics_of, Picture
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext, Output
 from manip_sim.ros.messages import message_of
 from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot

@@ -12,7 +12,7 @@ import threading
 import time
 
 from manip_sim.errors import ManipSimError
-from manip_sim.rendering.offscreen import cannot_render, OffscreenRenderer, Picture
+from manip_sim.rendering import cannot_render, OffscreenRenderer, Picture
 from manip_sim.sensing.images import ImageNoise
 from manip_sim.simulation.snapshots import Snapshot, VisibleWorld
 
@@ -80,7 +80,7 @@ class CameraThread:
     For each camera the newest snapshot counts: one that has not been rendered when the next comes
     is left out.
 
-    :param way: to render, as :func:`manip_sim.rendering.offscreen.choose_gl` returns it
+    :param way: to render, as :func:`manip_sim.rendering.choose_gl` returns it
     :param world: as it is at the start
     :param views: the cameras
     :param deliver: is called in this thread with each shot

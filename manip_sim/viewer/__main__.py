@@ -61,7 +61,7 @@ def _run() -> int:
             from manip_sim.viewer.playback import show_records
             gc.enable()
             return show_records(options)
-        from manip_sim.viewer.ros.session import show
+        from manip_sim.viewer.session import show
     except ImportError as error:
         return _fail(missing_module(error))
     except ManipSimError as error:

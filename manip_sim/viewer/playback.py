@@ -27,15 +27,12 @@ from manip_sim.models import untrusted_models
 from manip_sim.models.archive import load_archive
 from manip_sim.quoting import pluralize
 from manip_sim.records.converting import records_in
-from manip_sim.records.record_file import full_name
-from manip_sim.records.recorded import Record, Recorded, RecordedEpisode, RecordedWorld
-from manip_sim.records.recorder import ACTION, GOAL, REWARD, STATE_PARTS
-from manip_sim.records.untrusted_records import image
+from manip_sim.records.recorded import image, Record, Recorded, RecordedEpisode, RecordedWorld
+from manip_sim.records.recorder import ACTION, full_name, GOAL, REWARD, STATE_PARTS
 from manip_sim.startup import EndSignals
+from manip_sim.viewer.page.interaction import Aiming, Events
+from manip_sim.viewer.page.latest import Line, plain, PlainText
 from manip_sim.viewer.page.model_scene import Kinematics, Scene
-from manip_sim.viewer.page.page_commands import Events
-from manip_sim.viewer.page.plain_text import Line, plain, PlainText
-from manip_sim.viewer.page.pointer import Aiming
 from manip_sim.viewer.page.server import Access, close_server, open_server, page_address, set_theme
 from manip_sim.viewer.page.timeline import add_plot, Timeline
 

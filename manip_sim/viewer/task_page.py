@@ -18,10 +18,9 @@ from manip_sim.experiments.demonstrations import Device, EVENTS, external_force,
 from manip_sim.simulation.snapshots import VisibleWorld
 from manip_sim.tasks import Episode
 from manip_sim.tasks.episode_actions import PoseActions
+from manip_sim.viewer.page.interaction import Aiming, Events
+from manip_sim.viewer.page.latest import Line, PlainText
 from manip_sim.viewer.page.model_scene import Kinematics, Scene
-from manip_sim.viewer.page.page_commands import Events
-from manip_sim.viewer.page.plain_text import Line, PlainText
-from manip_sim.viewer.page.pointer import Aiming
 from manip_sim.viewer.page.server import Access, close_server, open_server, page_address, set_theme
 
 #: Time between two looks at the page before an episode begins [s].

@@ -11,7 +11,7 @@ import pytest
 
 from manip_sim.channels.contents import image_channels
 from manip_sim.interface.topics import CAMERA, TOPICS
-from manip_sim.rendering.offscreen import Intrinsics
+from manip_sim.rendering import Intrinsics
 
 FOUND = Intrinsics(width=4, height=2, fx=2.0, fy=3.0, cx=1.5, cy=0.5)
 HEAD = {'stamp': {'sec': 0, 'nanosec': 0}, 'frame_id': 'eye'}

@@ -7,7 +7,7 @@ import argparse
 
 import pytest
 
-from manip_sim.cli import options
+from manip_sim.cli import command_line
 
 
 @pytest.mark.parametrize(('kind', 'text', 'value'), [
@@ -17,7 +17,7 @@ from manip_sim.cli import options
     ('assignment', 'a=', ('a', '')), ('image_size', '16x8192', (16, 8192)),
     ('image_size', '8192X16', (8192, 16))])
 def test_a_value_that_fits_is_taken(kind, text, value):
-    assert getattr(options, kind)(text) == value
+    assert getattr(command_line, kind)(text) == value
 
 
 @pytest.mark.parametrize(('kind', 'text', 'message'), [
@@ -31,7 +31,7 @@ def test_a_value_that_fits_is_taken(kind, text, value):
     ('image_size', '100x10000000000', 'must be from 16 to 8192')])
 def test_a_value_that_does_not_fit_is_rejected(kind, text, message):
     with pytest.raises(argparse.ArgumentTypeError, match=f'^{message}.*{text[:1]}'):
-        getattr(options, kind)(text)
+        getattr(command_line, kind)(text)
 
 
 @pytest.mark.parametrize(('kind', 'text'), [
@@ -40,5 +40,5 @@ def test_a_value_that_does_not_fit_is_rejected(kind, text, message):
 def test_of_a_long_text_the_first_sixty_characters_are_quoted(kind, text):
     text = text[:-1] + text[-1] * (61 - len(text[:-1]))
     with pytest.raises(argparse.ArgumentTypeError) as error:
-        getattr(options, kind)(text)
+        getattr(command_line, kind)(text)
     assert str(error.value).endswith(f", got '{text[:60]}'")

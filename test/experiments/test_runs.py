@@ -592,7 +592,7 @@ def test_a_run_can_record_its_episodes(tmp_path):
 @pytest.mark.parametrize('policy', ['Towards', 'expert'])
 def test_recorded_images_are_those_of_the_states_beside_them(renderer, policy, tmp_path):
     pytest.importorskip('mcap_ros2', reason='needs the extra records')
-    from manip_sim.records.episode_arrays import Frames
+    from manip_sim.records.converting import Frames
     from manip_sim.records.recorded import Record
     name = policy if policy == 'expert' else f'{POLICIES}:{policy}'
     setting = Setting('reach', cameras=('agentview',), image_size=(64, 48))

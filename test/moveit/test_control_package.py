@@ -18,7 +18,7 @@ from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import Hardware, OWN_PLUGIN
 from manip_sim.moveit import srdf
-from manip_sim.moveit.control_package import (
+from manip_sim.moveit.package import (
     effective_inertias, effort_gains, GRIPPER, TRAJECTORY, write_control_package)
 from manip_sim.simulation import Simulation
 

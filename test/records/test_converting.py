@@ -21,8 +21,7 @@ import h5py  # noqa: E402
 import pyarrow.parquet as parquet  # noqa: E402
 
 from manip_sim.records import EpisodeRecorder  # noqa: E402
-from manip_sim.records.converting import write_lerobot  # noqa: E402
-from manip_sim.records.episode_arrays import Frames  # noqa: E402
+from manip_sim.records.converting import Frames, write_lerobot  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 from manip_sim.tasks import Setting  # noqa: E402
 

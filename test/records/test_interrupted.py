@@ -23,10 +23,8 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
-from manip_sim.records.record_file import definition, encoder  # noqa: E402
-from manip_sim.records.record_file import RecordFile  # noqa: E402
-from manip_sim.records.recorded import Record  # noqa: E402
-from manip_sim.records.untrusted_records import _KEYS, check_about  # noqa: E402
+from manip_sim.records.recorded import _KEYS, check_about, Record  # noqa: E402
+from manip_sim.records.recorder import definition, encoder, RecordFile  # noqa: E402
 
 WRITER = """
 import sys

@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 from manip_sim.models.archive import load_archive  # noqa: E402
 from manip_sim.records import EpisodeRecorder  # noqa: E402
-from manip_sim.records.episode_arrays import Frames  # noqa: E402
+from manip_sim.records.converting import Frames  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
 
 _IMAGE = np.zeros((48, 64, 3), np.uint8)

@@ -7,7 +7,7 @@ import pytest
 
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
-from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.rendering import OffscreenRenderer
 from manip_sim.simulation import Simulation
 
 WIDTH, HEIGHT = 160, 120

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from manip_sim.models import compose
-from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.rendering import OffscreenRenderer
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import take_snapshot, VisibleWorld
 

@@ -13,8 +13,7 @@ import pytest
 
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.models import compose
-from manip_sim.rendering.offscreen import (
-    choose_gl, create_context, intrinsics_of, OffscreenRenderer)
+from manip_sim.rendering import choose_gl, create_context, intrinsics_of, OffscreenRenderer
 
 SENSOR = 'sensorsize="0.004 0.003" focal="0.003 0.0035" principal="0.0002 0.0001"'
 #: By optics: attributes of a camera in MJCF, and size of its images.

@@ -22,8 +22,8 @@ import rclpy
 import yaml
 
 from manip_sim.cli import ros_commands
+from manip_sim.cli.command_line import COMMANDS
 from manip_sim.cli.main import main as manip_sim
-from manip_sim.cli.options import COMMANDS
 from manip_sim.interface.topics import ACTIONS
 
 SETUP = (ROOT / 'setup.py').read_text()

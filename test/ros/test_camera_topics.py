@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 
 from manip_sim.errors import ManipSimError
 from manip_sim.physics.object_spawning import plan_without
-from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.rendering import OffscreenRenderer
 from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.feature import Output
 from manip_sim.sensing.images import ImageNoise
@@ -404,7 +404,7 @@ def test_a_node_that_cannot_render_says_so_once_and_does_all_else(value, sim_pro
 HANGS = """
 import atexit, sys, threading
 atexit.register(lambda: threading.Event().wait())
-from manip_sim.rendering.offscreen import OffscreenRenderer
+from manip_sim.rendering import OffscreenRenderer
 from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.feature import Output
 

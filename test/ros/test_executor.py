@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool
 from test_log import Lines
 
 from manip_sim.ros.executor import GuardedExecutor, RejectionLog
-from manip_sim.viewer.ros.readers import PolledExecutor
+from manip_sim.viewer.discovery import PolledExecutor
 
 
 @pytest.fixture

@@ -16,9 +16,10 @@ pytestmark = pytest.mark.full
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
-from manip_sim.viewer.page.plain_text import plain  # noqa: E402
 from page_client import messages_of  # noqa: E402
 from test_viewer import browser, end, PATIENCE_MS, start_viewer  # noqa: E402, F401
+
+from manip_sim.viewer.page.latest import plain  # noqa: E402
 
 #: What a browser would run, and what viser's Markdown would read: a picture of the host.
 HARM = '<img src=x onerror=hit("{}")>![p](p.png)'

@@ -13,10 +13,8 @@ from std_msgs.msg import String, UInt8MultiArray
 
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
-from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
-from manip_sim.viewer.ros.discovery import Discovery  # noqa: E402
-from manip_sim.viewer.ros.session import NodeRecording  # noqa: E402
-from manip_sim.viewer.ros.readers import Readers  # noqa: E402
+from manip_sim.viewer.discovery import Discovery, Readers  # noqa: E402
+from manip_sim.viewer.session import CommandSender, NodeRecording  # noqa: E402
 
 #: Of a description; what the viewer takes at most [bytes].
 LIMITED = ('<robot name="robot"><joint name="joint"><limit lower="-0.5" upper="0.25" '

@@ -25,8 +25,7 @@ from page_client import page_client  # noqa: E402
 from test_viewer import end, start_viewer  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.viewer.ros.readers import Readers  # noqa: E402
-
+from manip_sim.viewer.discovery import Readers  # noqa: E402
 
 NAN = float('nan')
 

@@ -21,8 +21,8 @@ from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 from manip_sim.errors import MessageError  # noqa: E402
 from manip_sim.viewer.page.latest import (  # noqa: E402
     command_fields, commanded_joints, declared_limits, in_words, limit_of, ShownStatus)
-from manip_sim.viewer.ros import readers  # noqa: E402
-from manip_sim.viewer.ros.discovery import layout_of  # noqa: E402
+from manip_sim.viewer import discovery as readers  # noqa: E402
+from manip_sim.viewer.discovery import layout_of  # noqa: E402
 
 TEXTS = st.text(st.characters(codec='utf-8', exclude_characters='\0'), max_size=8)
 NUMBERS = st.lists(st.floats(), max_size=3)

@@ -14,9 +14,9 @@ import pytest
 pytest.importorskip('rclpy', reason='the window needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
+from manip_sim.viewer import session  # noqa: E402
 from manip_sim.viewer.page.latest import Latest  # noqa: E402
-from manip_sim.viewer.ros import session  # noqa: E402
-from manip_sim.viewer.ros.session import aim  # noqa: E402
+from manip_sim.viewer.session import aim  # noqa: E402
 
 
 @pytest.mark.parametrize('position, target', [

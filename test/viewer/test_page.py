@@ -15,19 +15,16 @@ pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.errors import ManipSimError  # noqa: E402
 from manip_sim.models import compose, urdf_of  # noqa: E402
+from manip_sim.viewer.discovery import layout_of, RobotTopics  # noqa: E402
 from manip_sim.viewer.page import latest  # noqa: E402
+from manip_sim.viewer.page.interaction import Aiming, Events, Following  # noqa: E402
 from manip_sim.viewer.page.latest import (  # noqa: E402
-    command_fields, commanded_joints, declared_limits, in_words, Latest, PoseInWorld,
+    command_fields, commanded_joints, declared_limits, in_words, Latest, Line, PoseInWorld,
     RealTimeFactor, Robot, short_labels, ShownJoint, ShownPart, ShownStatus)
 from manip_sim.viewer.page.model_scene import first_view, Kinematics  # noqa: E402
-from manip_sim.viewer.page.page import _UNFOLDED, Page  # noqa: E402
-from manip_sim.viewer.page.page_commands import Events, Following  # noqa: E402
-from manip_sim.viewer.page.panels import DrivePanel, JointPanel  # noqa: E402
-from manip_sim.viewer.page.plain_text import Line  # noqa: E402
-from manip_sim.viewer.page.pointer import Aiming  # noqa: E402
+from manip_sim.viewer.page.page import _UNFOLDED, DrivePanel, JointPanel, Page  # noqa: E402
 from manip_sim.viewer.page.server import Access, close_server, open_server  # noqa: E402
 from manip_sim.viewer.page.timeline import History  # noqa: E402
-from manip_sim.viewer.ros.discovery import layout_of, RobotTopics  # noqa: E402
 
 
 @pytest.mark.parametrize(('names', 'labels'), [

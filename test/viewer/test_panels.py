@@ -15,12 +15,12 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 from hypothesis import given, strategies as st  # noqa: E402
 
 from manip_sim.errors import ManipSimError  # noqa: E402
+from manip_sim.viewer.page.interaction import (  # noqa: E402
+    EndEffectorTarget, Events, PosePanel, Poses)
 from manip_sim.viewer.page.latest import (  # noqa: E402
     JointStates, Latest, Robot, ShownJoint, ShownPart)
-from manip_sim.viewer.page.page_commands import Events, PosePanel, Poses  # noqa: E402
-from manip_sim.viewer.page.panels import (  # noqa: E402
+from manip_sim.viewer.page.page import (  # noqa: E402
     _marks, CameraPanel, DrivePanel, JointPanel, rounded_inward, SavePanel, SimulationPanel)
-from manip_sim.viewer.page.pointer import EndEffectorTarget  # noqa: E402
 from manip_sim.viewer.page.timeline import PlotPanel  # noqa: E402
 
 RANGES = {'position': (-1.0, 2.0), 'velocity': (-0.5, 0.5), 'effort': (-8.0, 8.0)}

@@ -14,7 +14,7 @@ pytest.importorskip('hypothesis', reason='needs hypothesis')
 from hypothesis import given, strategies as st  # noqa: E402
 
 import manip_sim.viewer.page  # noqa: E402
-from manip_sim.viewer.page.plain_text import Line, plain, PlainText  # noqa: E402
+from manip_sim.viewer.page.latest import Line, plain, PlainText  # noqa: E402
 
 PAGE = Path(manip_sim.viewer.page.__file__).parent
 #: What viser shows as Markdown or HTML, or takes from files and elsewhere.
@@ -64,7 +64,7 @@ def test_names_are_shortened_and_control_characters_escaped():
 @pytest.mark.parametrize('path', sorted(PAGE.parent.rglob('*.py')),
                          ids=lambda path: str(path.relative_to(PAGE.parent)))
 def test_only_one_module_gives_html_to_viser(path):
-    if path.name == 'plain_text.py':
+    if path.name == 'latest.py':
         return
     nodes = list(ast.walk(ast.parse(path.read_text())))
     used = {node.attr for node in nodes if isinstance(node, ast.Attribute)}

@@ -13,9 +13,9 @@ import pytest
 trimesh = pytest.importorskip('trimesh', reason='the viewer needs the extra viewer')
 
 from manip_sim.models import compose  # noqa: E402
+from manip_sim.viewer.page.interaction import VIEWS  # noqa: E402
 from manip_sim.viewer.page.model_scene import (  # noqa: E402
     body_meshes, FIELD_OF_VIEW, first_view, Kinematics, local_poses, ROOT, Scene)
-from manip_sim.viewer.page.pointer import VIEWS  # noqa: E402
 
 SHAPES = {
     'type="box" size="0.1 0.2 0.3"': (8 * 0.1 * 0.2 * 0.3, (0.1, 0.2, 0.3)),

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from visualization_msgs.msg import Marker  # noqa: E402
 
 from manip_sim.viewer.page.latest import ShownStatus  # noqa: E402
-from manip_sim.viewer.ros.command_sender import CommandSender  # noqa: E402
+from manip_sim.viewer.session import CommandSender  # noqa: E402
 
 #: Longest wait for an answer that has to come, on a busy machine too [s].
 PATIENCE_S = 300.0

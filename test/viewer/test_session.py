@@ -12,11 +12,10 @@ pytest.importorskip('rclpy', reason='the session needs ROS 2')
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from manip_sim.errors import MessageError  # noqa: E402
+from manip_sim.viewer import session  # noqa: E402
+from manip_sim.viewer.discovery import Layout, Readers, RobotTopics  # noqa: E402
 from manip_sim.viewer.page.latest import JointStates, Latest, ShownStatus  # noqa: E402
-from manip_sim.viewer.ros import session  # noqa: E402
-from manip_sim.viewer.ros.discovery import Layout, RobotTopics  # noqa: E402
-from manip_sim.viewer.ros.readers import Readers  # noqa: E402
-from manip_sim.viewer.ros.session import States  # noqa: E402
+from manip_sim.viewer.session import States  # noqa: E402
 
 ROBOT = RobotTopics('/', ('arm', 'right/gripper'), ('right',), True)
 OTHER = RobotTopics('/left/', ('arm',), (), False)

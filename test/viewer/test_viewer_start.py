@@ -75,7 +75,7 @@ def test_an_unknown_option_is_a_wrong_command_line():
 
 def test_an_error_of_the_page_is_logged_and_the_next_round_comes(monkeypatch):
     pytest.importorskip('rclpy', reason='the viewer needs ROS 2')
-    from manip_sim.viewer.ros import session
+    from manip_sim.viewer import session
     rounds, logged, waits = [], [], []
 
     class Failing:

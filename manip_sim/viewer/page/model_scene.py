@@ -19,7 +19,7 @@ import trimesh
 
 from manip_sim.algebra import matrix_of
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.plain_text import plain
+from manip_sim.viewer.page.latest import plain
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.viewer.page.latest import JointStates, Latest, Robot, ShownPart
-from manip_sim.viewer.page.page_commands import Events
-from manip_sim.viewer.page.plain_text import Line, PlainText
+from manip_sim.viewer.page.interaction import Events
+from manip_sim.viewer.page.latest import JointStates, Latest, Line, PlainText, Robot, ShownPart
 
 #: Simulation time that the plots look back [s].
 WINDOW_S = 10.0
