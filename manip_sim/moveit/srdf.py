@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,15 +16,14 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models import World
-from manip_sim.models.actuators import JointCouplings
+from manip_sim.models.actuators import JointCouplings, SCALAR
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import Urdf
-from manip_sim.models.urdf_writer.links import KinematicTree, subtree, text_of
+from manip_sim.models.urdf_writer.links import subtree, text_of
 from manip_sim.physics.parts import Part
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot import SimulatedRobot
-
 
 START, OPEN, CLOSED = 'start', 'open', 'closed'
 #: Gripper actions; +1 closes.
@@ -80,7 +80,9 @@ def find_groups(model: mujoco.MjModel, robot: SimulatedRobot, urdf: Urdf
     groups = []
     for name, part in robot.parts.items():
         if part.gripper is None and part.atomic == (name,) and name != 'base' and part.joints:
-            groups.append(finder.subsystem(name, part))
+            driven = tuple(joint for joint in part.driven_joints if joint is not None)
+            groups.append(Group(name, name, part.joints, finder.active(part), driven,
+                                *finder.chain(name, part)))
     arms = [group for group in groups if group.part in ('right', 'left')]
     if len(arms) == 2:
         first, second = arms
@@ -100,25 +102,23 @@ class _Finder:
             joint for part in robot.parts.values() for joint in part.driven_joints if joint), *(
             joint for gripper in robot.grippers.values() for joint in gripper.joints.names)}
 
-    def subsystem(self, name: str, part: Part) -> Group:
-        driven = tuple(joint for joint in part.driven_joints if joint is not None)
-        base, tip = self._chain(name, part)
-        return Group(name, name, part.joints, self._active(part), driven, base, tip)
-
-    def _active(self, part: Part, first: tuple[str, ...] = ()) -> tuple[str, ...]:
+    def active(self, part: Part, first: tuple[str, ...] = ()) -> tuple[str, ...]:
         """Return the joints that are planned for, those that take commands first."""
         joints = dict.fromkeys([*(joint for joint in first if joint in part.joints), *part.joints])
         return tuple(joint for joint in joints
                      if joint not in self.followers and joint in self.actuated)
 
-    def _chain(self, name: str, part: Part) -> tuple[str, str]:
+    def chain(self, name: str, part: Part) -> tuple[str, str]:
         """Return the links before and after the joints of an arm, if they are a chain."""
         model, arm = self._robot.robot_model, 'right' if name == 'arm' else name
         if not isinstance(model, ManipulatorModel) or arm not in model.eef_name:
             return '', ''
-        tip = self._tree.link_of_body[self._model.body(model.eef_name[arm]).id]
-        path = _path(self._tree, tip)
-        moving = [joint for joint in path if joint.kind != 'fixed'][:len(part.joints)]
+        link = tip = self._tree.link_of_body[self._model.body(model.eef_name[arm]).id]
+        joint_of = {joint.child: joint for joint in self._tree.joints}
+        moving: list[Any] = []  # From the tip to the root.
+        while link in joint_of and len(moving) < len(part.joints):
+            moving += [joint_of[link]] if joint_of[link].kind != 'fixed' else []
+            link = joint_of[link].parent
         if {joint.name for joint in moving} != set(part.joints):
             return '', ''
         return moving[-1].parent, tip
@@ -138,19 +138,9 @@ class _Finder:
             commanded = self._robot.grippers[part.name].joints.names
             gripper_groups.append(Group(
                 'gripper' if len(model.arms) == 1 else f'{arm}_gripper', part.name, part.joints,
-                self._active(part, commanded), commanded, links=links,
+                self.active(part, commanded), commanded, links=links,
                 parent=parent if parent in groups else '', parent_link=eef))
         return [group for group in gripper_groups if group.parent and group.links]
-
-
-def _path(tree: KinematicTree, link: str) -> list[Any]:
-    """Return the joints from a link up to the root, the nearest first."""
-    joint_of = {joint.child: joint for joint in tree.joints}
-    path = []
-    while link in joint_of:
-        path.append(joint_of[link])
-        link = joint_of[link].parent
-    return path
 
 
 @dataclass(frozen=True)
@@ -182,21 +172,16 @@ def find_postures(simulation: Simulation, robot: SimulatedRobot) -> list[GroupSt
         for name, action in _ACTIONS.items():
             simulation.reset()
             robot.apply(robot.parse.action(part, np.full(gripper.dof, action)))
-            _settle(simulation, robot, gripper.part.dof_addresses)
+            for _ in range(round(_PATIENCE_S / _PERIOD_S)):
+                simulation.advance(max(1, round(_PERIOD_S / simulation.timestep_s)))
+                speeds: FloatArray = np.abs(simulation.data.qvel[gripper.part.dof_addresses])
+                if not robot.moving and speeds.max(initial=0.0) < _RESTS:
+                    break
             moved = _positions(simulation, robot, _DIGITS)
             postures.append(GroupState(name, part, {
                 **start, **{joint: moved[joint] for joint in gripper.part.joints}}))
     simulation.reset()
     return postures
-
-
-def _settle(simulation: Simulation, robot: SimulatedRobot, dofs: Any) -> None:
-    steps = max(1, round(_PERIOD_S / simulation.timestep_s))
-    for _ in range(round(_PATIENCE_S / _PERIOD_S)):
-        simulation.advance(steps)
-        velocity: FloatArray = np.abs(simulation.data.qvel[dofs])
-        if not robot.moving and velocity.max(initial=0.0) < _RESTS:
-            return
 
 
 def _positions(simulation: Simulation, robot: SimulatedRobot, digits: int = 15
@@ -225,7 +210,11 @@ def write_srdf(name: str, groups: Iterable[Group], postures: Iterable[GroupState
     for posture in postures:
         for group in groups:
             if posture.part == group.part or (posture.name == START and group.active):
-                _add_state(robot, group, posture)
+                element = ElementTree.SubElement(robot, 'group_state', name=posture.name,
+                                                 group=group.name)
+                for joint in group.active:
+                    ElementTree.SubElement(element, 'joint', name=joint,
+                                           value=text_of(posture.position[joint]))
     for group in groups:
         if group.is_gripper:
             ElementTree.SubElement(robot, 'end_effector', {
@@ -252,13 +241,6 @@ def _add_group(robot: ElementTree.Element, group: Group) -> None:
             ElementTree.SubElement(element, 'link', name=link)
         for joint in group.joints:
             ElementTree.SubElement(element, 'joint', name=joint)
-
-
-def _add_state(robot: ElementTree.Element, group: Group, posture: GroupState) -> None:
-    element = ElementTree.SubElement(robot, 'group_state', name=posture.name, group=group.name)
-    for joint in group.active:
-        ElementTree.SubElement(element, 'joint', name=joint,
-                               value=text_of(posture.position[joint]))
 
 
 #: Of random configurations; the seed is fixed, so that the same robot has the same file.
@@ -330,10 +312,9 @@ def _adjacent(model: mujoco.MjModel, bodies: list[int]) -> Iterator[tuple[int, i
             above = int(model.body_parentid[above])
         if above:
             yield body, above
-    for place, body in enumerate(bodies):
-        for other in bodies[:place]:
-            if int(model.body_weldid[body]) == int(model.body_weldid[other]):
-                yield body, other
+    for body, other in combinations(bodies, 2):
+        if model.body_weldid[body] == model.body_weldid[other]:
+            yield body, other
 
 
 class _Sampler:
@@ -352,10 +333,8 @@ class _Sampler:
         with_shapes = set(self._body_of_geom[model.geom_contype != 0].tolist())
         tree = subtree(model, model.body(robot.root_body).id)
         self.bodies = [body for body in tree if body in with_shapes]
-        self._joints = [
-            joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in set(tree)
-            and int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE),
-                                               int(mujoco.mjtJoint.mjJNT_SLIDE))]
+        self._joints = [joint for joint in range(model.njnt)
+                        if model.jnt_bodyid[joint] in tree and model.jnt_type[joint] in SCALAR]
         self._index = {joint: index for index, joint in enumerate(self._joints)}
         self._qpos = np.asarray(model.jnt_qposadr[self._joints], dtype=np.int64)
         self._low, self._high = np.where(
@@ -374,7 +353,7 @@ class _Sampler:
 
     def always_and_never(self) -> tuple[set[Pair], set[Pair]]:
         """Return what collided in every random configuration, and what never came near."""
-        random, count = np.random.default_rng(_SEED), len(self.bodies)
+        random = np.random.default_rng(_SEED)
         always = np.ones(self._model.nbody ** 2, dtype=bool)
         near = np.zeros_like(always)
         for _ in range(_SAMPLES):
@@ -384,10 +363,8 @@ class _Sampler:
             inside = np.zeros_like(always)
             inside[numbers[distances < 0.0]] = True
             always &= inside
-        every = self.names((self.bodies[i], self.bodies[j])
-                           for i in range(count) for j in range(i))
         return (self._of_numbers(np.flatnonzero(always)),
-                every - self._of_numbers(np.flatnonzero(near)))
+                self.names(combinations(self.bodies, 2)) - self._of_numbers(np.flatnonzero(near)))
 
     def _place_at_random(self, random: Any) -> None:
         positions = random.uniform(self._low, self._high)
