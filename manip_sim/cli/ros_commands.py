@@ -25,7 +25,7 @@ import sys
 import time
 from typing import Any
 
-from rcl_interfaces.msg import Parameter
+from rcl_interfaces.msg import Parameter, ParameterValue
 import rclpy
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
@@ -36,6 +36,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.time import Time
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 import yaml
 
@@ -54,6 +55,8 @@ _LOOK_S = 0.05
 #: Quality of service that matches any publisher or subscription.
 _BEST = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE,
                    durability=DurabilityPolicy.BEST_AVAILABLE)
+#: Units of bandwidth: bytes, digits and name.
+_UNITS = ((1e6, 2, 'MB'), (1e3, 2, 'KB'), (1.0, 0, 'B'))
 #: Longest printed part of an array or a text.
 _PRINTED = 128
 #: Label of a value by its type, a number of rcl_interfaces/msg/ParameterType.
@@ -77,12 +80,13 @@ def run_verb(options: argparse.Namespace) -> int:
     """
     verbs: Mapping[str, Callable[[_Graph, argparse.Namespace], int | None]] = {
         'topic list': _list_names, 'topic info': _info, 'topic echo': _echo, 'topic hz': _hz,
+        'topic bw': _bandwidth, 'topic delay': _delay, 'topic find': _list_names,
         'topic pub': _publish, 'topic type': _type, 'param list': _list_parameters,
-        'param describe': _describe, 'param get': _get, 'param set': _set, 'param dump': _dump,
-        'param load': _load, 'service list': _list_names, 'service type': _type,
-        'service call': _call}
+        'param describe': _describe, 'param get': _get, 'param set': _set, 'param delete': _delete,
+        'param dump': _dump, 'param load': _load, 'service list': _list_names,
+        'service type': _type, 'service find': _list_names, 'service call': _call}
     try:
-        with _graph() as graph:
+        with _graph() as graph, _one_line_errors():
             return verbs[f'{options.command} {options.action}'](graph, options) or 0
     except _Ended:
         return 0
@@ -90,6 +94,12 @@ def run_verb(options: argparse.Namespace) -> int:
         # Python flushes once more when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    try:
+        yield
     except NameValidationException as error:
         raise ManipSimError(one_line(str(error).replace('\n', ' '))) from error
     except RCLError as error:
@@ -229,12 +239,16 @@ def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
     if not graph.nodes():
         print('manip_sim:', describe_missing(graph.node), file=sys.stderr)
     present = graph.topics() if options.command == 'topic' else graph.services()
-    names = [name for name in sorted(present)
-             if not topic_or_service_is_hidden(name)]
-    lines = [f'{name} [{", ".join(present[name])}]' if options.show_types else name
-             for name in names]
-    for line in [str(len(names))] if options.count else lines:
-        _say(line)
+    kind = None if options.action == 'list' else _type_name(_interface(
+        options.type, 'msg' if options.command == 'topic' else 'srv'))
+    names = [name for name in sorted(present) if not topic_or_service_is_hidden(name)
+             and (kind is None or kind in present[name])]
+    if options.count:
+        _say(str(len(names)))
+        return
+    for name in names:
+        with_types = kind is None and options.show_types
+        _say(f'{name} [{", ".join(present[name])}]' if with_types else name)
 
 
 def _type(graph: _Graph, options: argparse.Namespace) -> None:
@@ -301,7 +315,7 @@ def next_message(topic: str, type_name: str) -> Any:
     :raises ManipSimError: if the topic is unknown or has another type, or no message comes
     """
     try:
-        with _graph() as graph:
+        with _graph() as graph, _one_line_errors():
             messages = _subscribed(graph, argparse.Namespace(name=topic))
             types = graph.topics().get(graph.node.resolve_topic_name(topic), [])
             if type_name not in types:
@@ -310,27 +324,64 @@ def next_message(topic: str, type_name: str) -> Any:
             return messages.popleft()
     except _Ended:
         raise ManipSimError(f'ended before a message on {topic} came') from None
-    except NameValidationException as error:
-        raise ManipSimError(one_line(str(error).replace('\n', ' '))) from error
-    except RCLError as error:
-        raise ManipSimError(f'ROS: {without_source(error)}') from error
 
 
 def _hz(graph: _Graph, options: argparse.Namespace) -> None:
-    messages = _subscribed(graph, options, raw=True)
-    arrivals: deque[float] = deque(maxlen=options.window + 1)
+    # Of n messages there are n - 1 intervals.
+    for arrivals in _windows(graph, options, lambda _, at_s: at_s, options.window + 1):
+        between = [later - earlier for earlier, later in itertools.pairwise(arrivals)]
+        _say(f'average rate: {1.0 / statistics.fmean(between):.3f}\n{_statistics(between)}')
+
+
+def _bandwidth(graph: _Graph, options: argparse.Namespace) -> None:
+    _say(f'Subscribed to [{graph.node.resolve_topic_name(options.name)}]')
+    for window in _windows(graph, options, lambda data, at_s: (len(data), at_s), options.window):
+        sizes = [size for size, _ in window]
+        per_s = sum(sizes) / (time.monotonic() - window[0][1])
+        factor, digits, unit = next((unit for unit in _UNITS if per_s >= unit[0]), _UNITS[-1])
+        total, mean, least, most = (
+            f'{number / factor:.{digits}f} {unit}' for number in (
+                per_s, statistics.fmean(sizes), min(sizes), max(sizes)))
+        _say(f'{total}/s from {len(sizes)} messages\n'
+             f'\tMessage size mean: {mean} min: {least} max: {most}')
+
+
+def _delay(graph: _Graph, options: argparse.Namespace) -> None:
+    def age(message: Any, _: float) -> float:
+        if not hasattr(message, 'header'):
+            raise ManipSimError(f'the messages on {options.name} have no header')
+        now = graph.node.get_clock().now()
+        return float((now - Time.from_msg(message.header.stamp)).nanoseconds) * 1e-9
+
+    for ages in _windows(graph, options, age, options.window, raw=False):
+        _say(f'average delay: {statistics.fmean(ages):.3f}\n{_statistics(ages)}')
+
+
+def _windows(graph: _Graph, options: argparse.Namespace, measure: Callable[[Any, float], Any],
+             most: int, raw: bool = True) -> Iterator[deque[Any]]:
+    """
+    Yield measurements of the newest messages once a second, as soon as there are two.
+
+    :param measure: takes a message and when it came [s]
+    :param most: number of measurements
+    :param raw: whether messages stay serialized
+    """
+    messages = _subscribed(graph, options, raw)
+    window: deque[Any] = deque(maxlen=most)
     said_s = time.monotonic()
     while True:
         graph.wait_for(messages, options.name)
-        arrivals.append(time.monotonic())
-        messages.clear()
-        if arrivals[-1] - said_s < 1.0 or len(arrivals) < 2:
-            continue
-        said_s = arrivals[-1]
-        between = [later - earlier for earlier, later in itertools.pairwise(arrivals)]
-        _say(f'average rate: {1.0 / statistics.fmean(between):.3f}\n\tmin: {min(between):.3f}s '
-             f'max: {max(between):.3f}s std dev: {statistics.pstdev(between):.5f}s '
-             f'window: {len(between)}')
+        now_s = time.monotonic()
+        while messages:
+            window.append(measure(messages.popleft(), now_s))
+        if now_s - said_s >= 1.0 and len(window) > 1:
+            said_s = now_s
+            yield window
+
+
+def _statistics(times: Collection[float]) -> str:
+    return (f'\tmin: {min(times):.3f}s max: {max(times):.3f}s '
+            f'std dev: {statistics.pstdev(times):.5f}s window: {len(times)}')
 
 
 def _publish(graph: _Graph, options: argparse.Namespace) -> None:
@@ -452,15 +503,29 @@ def _set(graph: _Graph, options: argparse.Namespace) -> int:
     except (AssertionError, OverflowError, SystemError, yaml.YAMLError) as error:
         raise ManipSimError(f'cannot use the value {quoted(options.value)}: '
                             f'{one_line(str(error), 200)}') from error
+    return _change(graph, client, options, value, 'Set parameter successful',
+                   'Setting parameter failed')
+
+
+def _delete(graph: _Graph, options: argparse.Namespace) -> int:
+    client = _parameters(graph, options.node)
+    _check_known(graph, client, options.node, [options.name])
+    # A value without a type deletes a parameter.
+    return _change(graph, client, options, ParameterValue(), 'Deleted parameter successfully',
+                   'Deleting parameter failed')
+
+
+def _change(graph: _Graph, client: AsyncParameterClient, options: argparse.Namespace,
+            value: ParameterValue, done: str, failed: str) -> int:
     parameter = Parameter(name=options.name, value=value)
     (result,) = graph.answer(client.set_parameters([parameter]), options.node).results
     reason = f': {result.reason}' if result.reason else ''
     if result.successful:
-        _say(f'Set parameter successful{reason}')
+        _say(done + reason)
         return 0
     if not reason:
         _check_known(graph, client, options.node, [options.name])
-    print(f'Setting parameter failed{one_line(reason, 2000)}', file=sys.stderr)
+    print(failed + one_line(reason, 2000), file=sys.stderr)
     return 1
 
 

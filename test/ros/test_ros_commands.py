@@ -16,6 +16,8 @@ from unittest.mock import Mock
 from geometry_msgs.msg import PoseStamped, PoseWithCovariance
 from harness import Client
 import pytest
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.duration import Duration
 from rclpy.qos import (
     qos_profile_sensor_data, QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy)
 from sensor_msgs.msg import JointState
@@ -64,6 +66,10 @@ DONE = [
      r'.*Set parameter cartesian_stiffness.right successful\n$'),
     ('param load manip_sim all.yaml', '^Set parameter control_mode.arm successful\n$'),
     ('topic type /joint_states', '^sensor_msgs/msg/JointState\n$'),
+    ('topic find sensor_msgs/msg/JointState', r'^(/[\w/]+\n)*/joint_states\n(/[\w/]+\n)*$'),
+    ('topic find -c std_msgs/msg/Int8', '^0\n$'),
+    ('service find std_srvs/srv/SetBool', r'^(/manip_sim/\w+\n)*/manip_sim/pause\n'),
+    ('service find -c std_srvs/srv/Empty', '^0\n$'),
     ('service type manip_sim/reset', '^std_srvs/srv/Trigger\n$'),
     ('service list', r'(?m)^/manip_sim/reset$'),
     ('service list -t', r'(?m)^/manip_sim/reset \[std_srvs/srv/Trigger\]$'),
@@ -103,6 +109,11 @@ WRONG = [
      "'control_mode.arm': unknown value 'veloc': did you mean 'velocity'"),
     ('param set /manip_sim seed 99999999999999999999', 1, 'cannot use the value'),
     ('param list /manip_sim --filter (', 1, '--filter'),
+    ('param delete /manip_sim timestp', 1, "'timestp': did you mean 'timestep'"),
+    ('param delete /manip_sim timestep', 1, 'Deleting parameter failed: '),
+    ('topic find sensor_msgs/msg/JointStat', 1, "did you mean 'sensor_msgs/msg/JointState'"),
+    ('service find JointState', 1, "'JointState' is not the type of a service"),
+    ('topic delay /manip_sim/mjcf', 1, 'the messages on /manip_sim/mjcf have no header'),
     ('param load /manip_sim two.yamel', 1, 'two.yamel: [Errno 2] No such file'),
     ('param load /manip_sim other.yaml', 1, 'other.yaml: Param file does not contain'),
     ('param load /manip_sim all.yaml --no-use-wildcard', 1, 'all.yaml: Param file does not'),
@@ -245,6 +256,79 @@ def test_an_echo_matches_the_quality_of_service_of_the_publisher(
                and qos.reliability != QoSReliabilityPolicy.BEST_EFFORT)
     printed = capsys.readouterr().out
     assert printed in (['data: before\n---\n'] if latched else []) + ['data: later\n---\n']
+
+
+@pytest.fixture
+def spinning(client):
+    """Return a node that a thread spins, for commands in processes of their own."""
+    ended = threading.Event()
+    thread = threading.Thread(target=lambda: client.spin_until(ended.is_set))
+    thread.start()
+    yield client.node
+    ended.set()
+    thread.join()
+
+
+def first_report(line):
+    """Return what a command without end prints at first, two lines more than its first one."""
+    with subprocess.Popen([sys.executable, '-m', 'manip_sim.cli', *words_of(line)], text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        text = ''.join(process.stdout.readline() for _ in range(3))
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=300.0)
+    assert (process.returncode, errors) == (0, '')
+    return text
+
+
+@pytest.mark.full
+def test_the_bandwidth_is_that_of_the_serialized_messages(spinning):
+    publisher = spinning.create_publisher(String, 'told', 10)
+    # Four bytes of encapsulation, four of the length, a zero at the end.
+    timer = spinning.create_timer(0.02, lambda: publisher.publish(String(data='x' * 991)))
+    text = first_report('topic bw /told')
+    timer.cancel()
+    found = re.fullmatch(r'Subscribed to \[/told\]\n([.\d]+) KB/s from (\d+) messages\n'
+                         r'\tMessage size mean: 1\.00 KB min: 1\.00 KB max: 1\.00 KB\n', text)
+    assert found, text
+    assert 10.0 < float(found[1]) < 60.0 and 20 <= int(found[2]) <= 100
+
+
+@pytest.mark.full
+def test_the_delay_is_the_age_of_the_stamps(spinning):
+    publisher = spinning.create_publisher(PoseStamped, 'told', 10)
+
+    def publish():
+        message = PoseStamped()
+        message.header.stamp = (spinning.get_clock().now() - Duration(seconds=5.0)).to_msg()
+        publisher.publish(message)
+    timer = spinning.create_timer(0.02, publish)
+    text = first_report('topic delay -w 10 /told')
+    timer.cancel()
+    found = re.match(r'average delay: ([.\d]+)\n\tmin: ([.\d]+)s max: ([.\d]+)s '
+                     r'std dev: [.\d]+s window: 10\n', text)
+    assert found, text
+    mean, least, most = map(float, found.groups())
+    assert 5.0 <= least <= mean <= most < 7.0
+
+
+@pytest.mark.full
+def test_names_are_found_by_type_and_a_parameter_is_deleted_from_another_process(spinning):
+    def run(line):
+        done = subprocess.run([sys.executable, '-m', 'manip_sim.cli', *words_of(line)],
+                              capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, ''), done
+        return done.stdout
+    publisher = spinning.create_publisher(String, 'told', 10)
+    service = spinning.create_service(SetBool, 'refuses', lambda _, answer: answer)
+    spinning.declare_parameter('loose', 3, ParameterDescriptor(dynamic_typing=True))
+    node = spinning.get_fully_qualified_name()
+    assert run('topic find std_msgs/String') == '/told\n'
+    assert run('topic find -c std_msgs/msg/String') == '1\n'
+    assert run('service find std_srvs/srv/SetBool') == '/refuses\n'
+    assert run(f'param delete {node} loose') == 'Deleted parameter successfully\n'
+    assert not spinning.has_parameter('loose')
+    spinning.destroy_publisher(publisher)
+    spinning.destroy_service(service)
 
 
 @pytest.mark.full
