@@ -22,7 +22,7 @@ from manip_sim.errors import ModelError, SimulationEnded, UnknownNameError
 from manip_sim.models.cameras import chosen_cameras, described_cameras
 from manip_sim.models.world import World
 from manip_sim.physics.efforts import ActuatorEfforts, compute
-from manip_sim.rendering.offscreen import OffscreenRenderer, Picture
+from manip_sim.rendering import OffscreenRenderer, Picture
 from manip_sim.sensing.images import ImageNoise, MAX_PIXELS
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation import Simulation
