@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Parts of rclpy without a public name, in one place.
+Parts of rclpy without a public name, in one place; its start, with errors of one line.
 
 They exist in rclpy 7.1 and 9.1, of ROS 2 Jazzy and Kilted, and in the sources of rclpy for ROS 2
 Lyrical. Where a release lacks a part that only saves time, :func:`missing_for_waits` or
@@ -11,12 +11,13 @@ Lyrical. Where a release lacks a part that only saves time, :func:`missing_for_w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 import contextlib
 import ctypes
 import functools
 import importlib
 import os
+from pathlib import Path
 import re
 import sys
 from typing import Any
@@ -24,23 +25,25 @@ from typing import Any
 import rclpy
 # It knows by which name the module of rclpy's C API is imported, which changes with releases.
 from rclpy.impl.implementation_singleton import rclpy_implementation as _C_API
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
+import yaml
 
 from manip_sim.errors import ManipSimError
-from manip_sim.quoting import one_line, quoted_names
+from manip_sim.quoting import one_line, quoted, quoted_names
 from manip_sim.ros_environment import set_discovery_profile, SHARE_MEMORY
 
 __all__ = ['count_messages', 'describe_missing', 'describe_unheard', 'endpoint_counts',
            'forget_parameters', 'import_type_supports', 'InUse', 'is_unheard', 'MatchCounter',
            'missing_for_publishing', 'missing_for_waits', 'parameter_overrides', 'publish_bytes',
-           'RCLError', 'start_rclpy', 'UnknownROSArgsError', 'WaitSet', 'without_source']
+           'RCLError', 'start_rclpy', 'start_ros', 'WaitSet', 'without_source']
 
 RCLError = _C_API.RCLError
-UnknownROSArgsError = _C_API.UnknownROSArgsError
 #: None in a release of rclpy without it.
 WaitSet: Any = getattr(_C_API, 'WaitSet', None)
 #: Methods that waits for some of a node's subscriptions use, by class of the C API.
@@ -54,6 +57,9 @@ _UNNAMED = '_NODE_NAME_UNKNOWN_'
 _OF_EVERY_NODE = ('/parameter_events', '/rosout')
 #: Text of rclpy's error if it cannot write its log.
 _LOG = re.compile(r'log directory|log file|Failed opening file .*\.log')
+#: Options of ROS with a value.
+_WITH_VALUE = ('-e', '--enclave', '--log-level', '--log-config-file', '--log-file-name')
+_NODE = re.compile('[A-Za-z_][A-Za-z0-9_]*')
 
 
 def start_rclpy(**options: Any) -> None:
@@ -76,6 +82,83 @@ def start_rclpy(**options: Any) -> None:
             raise
         raise ManipSimError(
             f'{reason}; set ROS_LOG_DIR to a folder that can be written') from error
+
+
+def start_ros(arguments: Sequence[str] | None) -> None:
+    """
+    Initialize rclpy, without its signal handlers.
+
+    :param arguments: the command line with ROS arguments; None: that of the process
+    :raises ManipSimError: in one line, if an argument is wrong, or the log cannot be written
+    """
+    words = sys.argv if arguments is None else list(arguments)
+    # Errors are reported once, by our error and not by rcl too.
+    set_logger_level('rcl', LoggingSeverity.FATAL)
+    try:
+        start_rclpy(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    except (_C_API.UnknownROSArgsError, RCLError) as error:
+        reason = next(_mistakes(words), without_source(error))
+        raise ManipSimError(f'bad ROS arguments: {reason}') from error
+    set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def _mistakes(arguments: Sequence[str]) -> Iterator[str]:
+    words = iter(arguments)
+    for word in words:
+        if word == '--ros-args':
+            break
+    for word in words:
+        if word in ('-p', '--param'):
+            yield from _mistakes_of_parameter(next(words, ''))
+        elif word in ('-r', '--remap'):
+            yield from _mistakes_of_remapping(next(words, ''))
+        elif word == '--params-file':
+            yield from _mistakes_of_file(next(words, ''))
+        elif word in _WITH_VALUE:
+            next(words, None)
+        elif ':=' in word:
+            option = '-r' if word.startswith('__') else '-p'
+            yield f'{quoted(word)} must follow {option}: {option} {one_line(word, 60)}'
+
+
+def _mistakes_of_parameter(word: str) -> Iterator[str]:
+    name, assigned, value = word.partition(':=')
+    if not (name and assigned and value):
+        yield f'{quoted(f"-p {word}".strip())} must be -p NAME:=VALUE, without spaces'
+    try:
+        kinds = {type(item) for item in yaml.safe_load(value)}
+    except (TypeError, ValueError, RecursionError, yaml.YAMLError):
+        return  # The value is not a list.
+    if kinds == {int, float}:
+        yield f'{quoted(word)}: write all numbers of a list with a decimal point, such as 0.0'
+
+
+def _mistakes_of_remapping(word: str) -> Iterator[str]:
+    old, assigned, new = word.partition(':=')
+    kind = old.rpartition(':')[2]
+    if not (old and assigned and new):
+        yield f'{quoted(f"-r {word}".strip())} must be -r OLD:=NEW, without spaces'
+    elif kind == '__ns' and not new.startswith('/'):
+        yield f'{quoted(word)}: a namespace begins with a slash: __ns:=/{one_line(new, 60)}'
+    elif kind in ('__node', '__name') and not _NODE.fullmatch(new):
+        yield (f'{quoted(word)}: the name of a node consists of letters, digits and underscores, '
+               'and does not begin with a digit')
+
+
+def _mistakes_of_file(name: str) -> Iterator[str]:
+    try:
+        content = yaml.safe_load(Path(name).read_text())
+    except yaml.MarkedYAMLError as error:
+        line = f', line {error.problem_mark.line + 1}' if error.problem_mark else ''
+        yield f'{quoted(name, 200)}{line}: {one_line(str(error.problem))}'
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        pass  # rcl names it.
+    else:
+        below = content.values() if isinstance(content, dict) else ()
+        if not any(isinstance(section, dict) for section in below) or any(
+                'ros__parameters' not in repr(section) for section in below):
+            yield (f'{quoted(name, 200)}: parameters must be below the name of the node and '
+                   "'ros__parameters', as in '/**: {ros__parameters: {robot: Panda}}'")
 
 
 def import_type_supports() -> None:

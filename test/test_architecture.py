@@ -72,7 +72,7 @@ INTERNALS = 'rclpy_internals'
 WITH_RCLPY = ('ros', 'env/ros.py', 'examples', 'testing', 'viewer/discovery.py',
               'viewer/session.py', 'records/node_recorder.py', 'experiments/ros_policy.py',
               'cli/ros_commands.py', f'{INTERNALS}.py')
-TOP_LEVEL = {'algebra', 'arrays', 'derived', 'entry_points', 'errors', 'frame_names',
+TOP_LEVEL = {'algebra', 'arrays', 'derived', 'errors', 'frame_names',
              'lerobot_units', 'quoting', 'resources', 'ros_environment', 'startup', 'validation'}
 FORBIDDEN_NAMES = {'utils.py', 'helpers.py', 'common.py'}
 

@@ -9,8 +9,8 @@ import re
 
 from manip_sim.interface.composition import declare_parts
 from manip_sim.interface.parameter_spec import GivenParameters
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, SERVICES, SUBSCRIBED, TOPICS
-from manip_sim.interface.world_topics import topics_of
+from manip_sim.interface.topics import (
+    BY_NAME, PUBLISHED, Scope, SERVICES, SUBSCRIBED, TOPICS, topics_of)
 
 REFERENCE = Path(__file__).resolve().parents[1] / 'docs' / 'reference'
 TABLES = '\n'.join((REFERENCE / page).read_text() for page in ('topics.md', 'services.md'))

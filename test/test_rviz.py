@@ -5,8 +5,7 @@
 
 import yaml
 
-from manip_sim.interface.topics import PUBLISHED, Scope
-from manip_sim.interface.world_topics import topics_of_world
+from manip_sim.interface.topics import PUBLISHED, Scope, topics_of_world
 from manip_sim.models import compose
 from manip_sim.resources import share_directory
 from manip_sim.simulation import Simulation

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray
-from manip_sim.interface.topics import Scope, Topic
-from manip_sim.interface.world_topics import topics_of_cameras, truths
+from manip_sim.interface.topics import Scope, Topic, topics_of_cameras, truths
 from manip_sim.rendering import Intrinsics
 from manip_sim.sensing.instruments import (
     ACCELEROMETER, GYRO, IMU, Instrument, MAGNETIC_FIELD, ORIENTATION, RANGE, VALUES, WRENCH)

@@ -18,9 +18,9 @@ from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.frame_names import FrameNames, ROOT
 from manip_sim.interface.offered_sensors import Offered
 from manip_sim.interface.parameters import periods_per_message
-from manip_sim.interface.topics import BY_NAME, PUBLISHED, Scope, TOKEN, Topic
-from manip_sim.interface.world_topics import (
-    topics_of, topics_of_instruments, topics_of_lidars, topics_of_objects, topics_of_surroundings)
+from manip_sim.interface.topics import (
+    BY_NAME, PUBLISHED, Scope, TOKEN, Topic, topics_of, topics_of_instruments, topics_of_lidars,
+    topics_of_objects, topics_of_surroundings)
 from manip_sim.models.cameras import LidarModel
 from manip_sim.sensing.robot_sensing import ODOM
 from manip_sim.simulation import SimulatedRobot, Simulation

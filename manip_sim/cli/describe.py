@@ -22,8 +22,7 @@ from manip_sim.cli.output import number, span, table, terminal_width
 from manip_sim.errors import ModelError
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.offered_sensors import offered_topics
-from manip_sim.interface.topics import Scope, SERVICES
-from manip_sim.interface.world_topics import actions_of, topics_of_world
+from manip_sim.interface.topics import actions_of, Scope, SERVICES, topics_of_world
 from manip_sim.models.actuators import (
     actuated_joints, declared_velocity, effort_range, moved_joints, position_servos)
 from manip_sim.models.robots import ManipulatorModel, RobotModel

@@ -11,8 +11,8 @@ import inspect
 import re
 import sys
 
-from manip_sim.entry_points import Offer
 from manip_sim.errors import ManipSimError, ModelError
+from manip_sim.resources import Offer
 
 GROUP = 'manip_sim.commands'
 _NAME = re.compile(r'[a-z][a-z0-9_-]*')

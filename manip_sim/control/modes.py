@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.servos import Servos
 from manip_sim.control.user_laws import LAWS, PREFIX
-from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import one_line
+from manip_sim.resources import Offer, offers
 
 #: The fields of ``sensor_msgs/JointState`` that may hold commands.
 FIELDS = ('position', 'velocity', 'effort')

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import format_value, one_line, quoted
+from manip_sim.resources import Offer, offers
 
 #: Names of the arguments of a law.
 ARGUMENTS = ('t', 'q', 'v', 'bias', 'mass', 'jacobian', 'wrench', 'setpoint', 'parameters',

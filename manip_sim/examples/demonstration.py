@@ -28,8 +28,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.algebra import rotation_vector
 from manip_sim.arrays import FloatArray
-from manip_sim.rclpy_internals import describe_unheard
-from manip_sim.ros.arguments import start_ros
+from manip_sim.rclpy_internals import describe_unheard, start_ros
 
 _PATIENCE_S = 10.0
 #: Time that a node may take to compile its control laws, on a busy machine [s].

@@ -14,13 +14,12 @@ from typing import Annotated, Any, ClassVar, Optional
 import numpy as np
 
 from manip_sim.arrays import FloatArray
-from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.interface.parameters import periods_per_image
-from manip_sim.interface.topics import PUBLISHED, Scope, Topic
-from manip_sim.interface.world_topics import topics_of
+from manip_sim.interface.topics import PUBLISHED, Scope, Topic, topics_of
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import quoted
+from manip_sim.resources import Offer, offers
 from manip_sim.sensing.images import MAX_RATE_HZ, MIN_RATE_HZ
 from manip_sim.sensing.randomness import generator
 from manip_sim.simulation import SimulatedRobot, Simulation

@@ -22,10 +22,10 @@ import pkgutil
 import re
 from typing import Any, Generic, TypeVar
 
-from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.user_files import YAML_SUFFIXES
 from manip_sim.quoting import one_line, quoted
+from manip_sim.resources import Offer, offers
 
 T = TypeVar('T')
 _LOGGER = logging.getLogger('manip_sim.models')

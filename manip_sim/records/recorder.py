@@ -33,8 +33,9 @@ from manip_sim.channels.kinds import clock_channel, object_channel, offered_chan
 from manip_sim.errors import ManipSimError, RecordError
 from manip_sim.frame_names import FrameNames, OPTICAL
 from manip_sim.interface.offered_sensors import offered_topics
-from manip_sim.interface.topics import BY_NAME, Scope
-from manip_sim.interface.world_topics import topics_of_world
+from manip_sim.interface.topics import BY_NAME, Scope, topics_of_world
+from manip_sim.records.record_file import (
+    definition, encoded, encoder, full_name, new_message, RecordFile)
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import Episode

@@ -27,8 +27,7 @@ from manip_sim.control.cartesian.cartesian_commands import GuardedTwist
 from manip_sim.control.cartesian.reports import Contact
 from manip_sim.control.commands import CommandHandle, Status
 from manip_sim.errors import CommandError, ManipSimError, SimulationEnded, UnknownNameError
-from manip_sim.interface.profiles import JointNames
-from manip_sim.interface.topics import BY_NAME, Scope
+from manip_sim.interface.topics import BY_NAME, JointNames, Scope
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import format_value
 from manip_sim.ros.command_subscribers import CommandSubscribers, RobotCommands
@@ -37,8 +36,8 @@ from manip_sim.ros.feature import create_publisher, Feature, NodeContext
 from manip_sim.ros.messages import (
     import_optional, nanoseconds_of, seconds_of, stamp_of, trajectory_fields)
 from manip_sim.runtime.action_goals import (
-    ActionGoal, Ending, GoalCode, GoalError, GoalTracker, gripper_goal, GripperRequest)
-from manip_sim.runtime.trajectory_goal import JointTolerance, TrajectoryGoal, TrajectoryRequest
+    ActionGoal, Ending, GoalCode, GoalError, GoalTracker, gripper_goal, GripperRequest,
+    JointTolerance, TrajectoryGoal, TrajectoryRequest)
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 

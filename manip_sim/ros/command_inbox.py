@@ -31,7 +31,7 @@ from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import (
     count_messages, InUse, MatchCounter, missing_for_waits, RCLError, WaitSet, without_source)
 from manip_sim.ros.executor import RejectionLog
-from manip_sim.runtime.inbox import Inbox
+from manip_sim.runtime.simulation_thread import Inbox
 
 #: Period at which events are looked at [s].
 _EVENTS_S = 0.2

@@ -14,7 +14,8 @@ import time
 from typing import Any
 import weakref
 
-from geometry_msgs.msg import Pose as PoseMessage, PoseStamped, Twist, TwistStamped
+from geometry_msgs.msg import Pose as PoseMessage
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -23,11 +24,12 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import Marker
 
-from manip_sim.control.commands import Command, JointTrajectory as TrajectoryCommand, NoCommand
+from manip_sim.control.commands import Command
+from manip_sim.control.commands import JointTrajectory as TrajectoryCommand
+from manip_sim.control.commands import NoCommand
 from manip_sim.control.surroundings import ACTUATORS
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic
-from manip_sim.interface.world_topics import topics_of, topics_of_surroundings
+from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic, topics_of, topics_of_surroundings
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import pluralize, quoted
 from manip_sim.ros import messages

@@ -26,14 +26,13 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
-from manip_sim.entry_points import Offer, offers
 from manip_sim.errors import ManipSimError, ModelError, SimulationEnded
 from manip_sim.interface.offered_sensors import filled_in
 from manip_sim.interface.parameter_spec import ParameterSpec
-from manip_sim.interface.profiles import JointNames
-from manip_sim.interface.topics import Scope, Topic
+from manip_sim.interface.topics import JointNames, Scope, Topic
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
+from manip_sim.resources import Offer, offers
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.executor import RejectionLog

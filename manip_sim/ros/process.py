@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 import contextlib
 import ctypes
 import gc
+import itertools
 import os
 from pathlib import Path
 import resource
@@ -18,12 +19,14 @@ import warnings
 
 import rclpy
 from rclpy.impl.rcutils_logger import RcutilsLogger
+import yaml
 
 from manip_sim.control.law.kept import all_are_kept
 from manip_sim.errors import ManipSimError, ParameterError
+from manip_sim.interface.parameter_spec import matches, sections_of
 from manip_sim.models import untrusted_models
-from manip_sim.rclpy_internals import import_type_supports
-from manip_sim.ros.arguments import for_other_nodes, start_ros
+from manip_sim.quoting import quoted, quoted_names
+from manip_sim.rclpy_internals import import_type_supports, start_ros
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.executor import BACKGROUND_THREAD, begin, GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
@@ -107,6 +110,36 @@ def _compile_laws(node: SimNode, asked_to_end: EndSignals) -> bool:
 def _fail(message: str) -> int:
     print(f'sim_node: {message}', file=sys.stderr)
     return 1
+
+
+def for_other_nodes(arguments: Sequence[str], node_name: str) -> Iterator[str]:
+    """
+    Yield warnings about parameters of the command line that are for other nodes only.
+
+    :param arguments: of the command line
+    :param node_name: the node's name with its namespace
+    :returns: a warning for each parameters file and each parameter that is not for this node
+    """
+    for option, value in itertools.pairwise(arguments):
+        if option == '--params-file':
+            nodes = _nodes_in(Path(value))
+            if nodes and not any(matches(node, node_name) for node in nodes):
+                yield (f'the parameters file {quoted(value, 200)} has no effect: it is for '
+                       f'{quoted_names(nodes)}, this node is {node_name}')
+        elif option in ('-p', '--param'):
+            node, colon, _ = value.partition(':=')[0].rpartition(':')
+            if colon and not matches(node, node_name):
+                yield (f'the parameter {quoted(value)} has no effect: it is for {quoted(node)}, '
+                       f'this node is {node_name}')
+
+
+def _nodes_in(file: Path) -> list[str]:
+    """Return the node names and patterns that a parameters file is for."""
+    try:
+        return [node for node, _ in sections_of(yaml.safe_load(file.read_text()))]
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
+        # ROS has read it; only the warning is lost.
+        return []
 
 
 #: Stands for all processors that the process may use.

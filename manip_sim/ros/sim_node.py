@@ -22,16 +22,15 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
 from manip_sim.interface.composition import (
     compose_world, Composition, declare_cameras, declare_parts, spawn_files)
-from manip_sim.interface.profiles import JointNames, load_profile, Profile
-from manip_sim.interface.topics import PUBLISHED, Scope, SUBSCRIBED, Topic
-from manip_sim.interface.world_topics import topics_of_surroundings, topics_of_world
+from manip_sim.interface.topics import (
+    JointNames, load_profile, Profile, PUBLISHED, Scope, SUBSCRIBED, Topic, topics_of_surroundings,
+    topics_of_world)
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, MotionsUntilContact, offer_actions
-from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.channel_publishers import (
-    clock, InstrumentPublishers, lidar_scans, object_states, OfferedSensors, robot_states)
+    Cameras, clock, InstrumentPublishers, lidar_scans, object_states, OfferedSensors, robot_states)
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
 from manip_sim.ros.declared_parameters import Parameters
@@ -39,8 +38,7 @@ from manip_sim.ros.diagnostics import Diagnostics
 from manip_sim.ros.executor import BACKGROUND_THREAD, RejectionLog
 from manip_sim.ros.feature import (
     add_offered_features, Feature, load_features, NodeContext, PublishingThread)
-from manip_sim.ros.live_parameters import LiveParameters
-from manip_sim.ros.services import SimulationServices
+from manip_sim.ros.services import LiveParameters, SimulationServices
 from manip_sim.ros.standard_services import StandardServices
 from manip_sim.ros.visualization_topics import check_frame_prefix, OdometryPublishers, SceneTopics
 from manip_sim.ros.world_publishers import (

@@ -30,12 +30,11 @@ from manip_sim.quoting import one_line, quoted
 from manip_sim.ros.executor import in_background, Rounds
 from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import filled, import_optional, numbers_of, stamp_of, WORLD
-from manip_sim.ros.simulation_interfaces_messages import (
-    answering, answering_later, BoundsType, Category, change_unless_diverged, FeatureCode,
-    LoadCode, reject_if_diverged, Rejection, resource_of, result_filled, ResultCode,
-    ScopeCode, SetEntityCode, SetStateCode, StandardTypes, StateCode, TagsMode, WorldCode)
 from manip_sim.ros.spawning_services import (
-    FORMATS, SpawnedRobots, SpawningServices, SUFFIXES)
+    answering, answering_later, BoundsType, Category, change_unless_diverged, FeatureCode, FORMATS,
+    LoadCode, reject_if_diverged, Rejection, resource_of, result_filled, ResultCode, ScopeCode,
+    SetEntityCode, SetStateCode, SpawnedRobots, SpawningServices, StandardTypes, StateCode,
+    SUFFIXES, TagsMode, WorldCode)
 from manip_sim.simulation.robot_spawning import plan_in_arena, RequestedRobot, RobotsPlan
 
 re2 = import_optional('re2')

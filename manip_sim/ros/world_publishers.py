@@ -24,8 +24,7 @@ from std_msgs.msg import String, UInt8MultiArray
 
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import RUNNING, SAFETY_STATES
-from manip_sim.interface.topics import BY_NAME, Scope
-from manip_sim.interface.world_topics import hardware_of, STALLS
+from manip_sim.interface.topics import BY_NAME, hardware_of, Scope, STALLS
 from manip_sim.models.asset_files import LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import Hardware, TOPIC_PLUGIN, urdfs_of

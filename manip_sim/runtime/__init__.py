@@ -3,8 +3,6 @@
 
 """Runtime says when it happens: wall time, waiting, one thread for the physics; no ROS."""
 
-from manip_sim.runtime.observers import Observer
-from manip_sim.runtime.pacing import Progress
-from manip_sim.runtime.simulation_thread import SimulationThread
+from manip_sim.runtime.simulation_thread import Observer, Progress, SimulationThread
 
 __all__ = ['Observer', 'Progress', 'SimulationThread']

@@ -1,31 +1,266 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The thread that owns a simulation: it waits, advances and calls observers."""
+"""
+The thread that owns a simulation: it waits, advances and calls observers.
+
+Other threads wake it by its inbox and pass it functions by a queue of calls; a pacer knows when a
+control period is due.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import CancelledError, Future
 import contextlib
+from dataclasses import dataclass, field
+import math
 import threading
 import time
-from typing import Any
+from typing import Any, TypeVar
 
 from manip_sim.control.commands import Command, CommandHandle
-from manip_sim.errors import CommandError, DivergenceError
+from manip_sim.errors import CommandError, DivergenceError, SimulationEnded
 from manip_sim.runtime.change_queue import ChangeQueue
-from manip_sim.runtime.inbox import CallQueue, Inbox, T
-from manip_sim.runtime.observers import Look, Observer, Observers
-from manip_sim.runtime.pacing import Pacer, Progress
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import RobotsPlan
 
+T = TypeVar('T')
+#: Is called with the simulation at the end of control periods, in the simulation's thread.
+Observer = Callable[[Simulation], None]
+#: Returns whether an observer has to be called.
+Look = Callable[[], bool]
+#: Period of checks which observers have to be called while the simulation runs, wall time [s].
+_LOOK_S = 0.02
 #: For how long ``free`` runs idle control periods at once, at least one of them, wall time [s].
 _ROUND_S = 5e-4
 #: Number of messages of a topic that are taken before a call that came after them.
 _TAKEN_BEFORE_CALLS = 10
 #: Period at which a state is repeated while the simulation does not advance, wall time [s].
 _REPEAT_S = 0.1
+
+
+@dataclass(frozen=True)
+class _Entry:
+    observer: Observer
+    every: int
+    look: Look | None
+
+
+class Observers:
+    """The observers of a simulation; those that nobody needs at present are not called."""
+
+    def __init__(self) -> None:
+        self._all: tuple[_Entry, ...] = ()
+        self._present: tuple[_Entry, ...] = ()
+        self._look_at = 0.0
+
+    def add(self, observer: Observer, every: int, look: Look | None) -> None:
+        """
+        Add an observer; any thread may call this.
+
+        :raises ValueError: if the divider is less than 1
+        """
+        if every < 1:
+            raise ValueError(f'the divider of an observer must be 1 or more, got {every}')
+        self._all = (*self._all, _Entry(observer, every, look))
+        self.refresh()
+
+    def remove(self, observer: Observer) -> None:
+        """Call an observer no more; to be called where :meth:`show` is."""
+        self._all = tuple(entry for entry in self._all if entry.observer != observer)
+        self._present = tuple(entry for entry in self._present if entry.observer != observer)
+
+    def refresh(self) -> None:
+        """Check at the next state which observers have to be called; any thread may call this."""
+        self._look_at = 0.0
+
+    @property
+    def absent(self) -> bool:
+        """True if no observer had to be called at the last check, and no new one is requested."""
+        return not self._present and self._look_at > 0.0
+
+    def show(self, simulation: Simulation, number: int, now_s: float, look: bool) -> None:
+        """
+        Call the observers that have to be called.
+
+        :param number: of the control period; observers are called at multiples of their divider
+        :param now_s: monotonic wall time [s]
+        :param look: whether to check which observers have to be called even if that is not due
+        """
+        if look or now_s >= self._look_at:
+            # Set first, or a refresh() that comes meanwhile would be lost.
+            self._look_at = now_s + _LOOK_S
+            self._present = tuple(
+                entry for entry in self._all if entry.look is None or entry.look())
+        for entry in self._present:
+            if number % entry.every == 0:
+                entry.observer(simulation)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """
+    Progress of the simulation.
+
+    :ivar wall_s: monotonic wall time when the present state was last shown to observers [s]
+    :ivar time_ns: simulation time then [ns]
+    :ivar missed: control periods that were dropped because the machine could not keep up
+    :ivar lost_s: simulation time that was lost with them [s]
+    :ivar waits_for: by robot, the parts that lock-step waits for; only filled in when a state is
+        repeated, or shown after a start or a reset
+    """
+
+    wall_s: float
+    time_ns: int
+    missed: int = 0
+    lost_s: float = 0.0
+    waits_for: Mapping[str, list[str]] = field(default_factory=dict)
+
+
+class Pacer:
+    """
+    Absolute deadlines for control periods that are to run at a factor of real time.
+
+    Errors do not add up: the n-th deadline is the anchor plus n periods. A change of the factor or
+    a backlog of more than ``backlog_s`` sets a new anchor, so lost time is not made up for.
+
+    :param period_s: length of a control period in simulation time [s]
+    :param real_time_factor: simulation time per wall time
+    :param now_s: the present wall time [s]
+    :param backlog_s: how late a period may be before the backlog is dropped, wall time [s]
+    :ivar real_time_factor: as given, or as :meth:`set_real_time_factor` has changed it
+    :ivar lost_s: simulation time that was lost with the backlog so far [s]
+    """
+
+    def __init__(self, period_s: float, real_time_factor: float, now_s: float,
+                 backlog_s: float = 0.1) -> None:
+        self._period_s = period_s
+        self._backlog_s = backlog_s
+        self.real_time_factor = real_time_factor
+        self.lost_s = 0.0
+        self.restart(now_s)
+
+    def restart(self, now_s: float) -> None:
+        """Set a new anchor: the next period is due one period from now."""
+        self._anchor_s = now_s
+        self._count = 1
+
+    def set_real_time_factor(self, factor: float, now_s: float) -> None:
+        """Change the real-time factor from now on."""
+        self.real_time_factor = factor
+        self.restart(now_s)
+
+    @property
+    def missed(self) -> int:
+        """Number of control periods that were dropped so far, rounded down."""
+        return math.floor(self.lost_s / self._period_s + 1e-9)
+
+    @property
+    def deadline_s(self) -> float:
+        """Wall time at which the next period is due [s]."""
+        return self._anchor_s + self._count * self._period_s / self.real_time_factor
+
+    def is_due(self, now_s: float) -> bool:
+        """Return whether a period is due, and count it as begun if so."""
+        late_s = now_s - self.deadline_s
+        if late_s < 0.0:
+            return False
+        if late_s > self._backlog_s:
+            self.lost_s += late_s * self.real_time_factor
+            self.restart(now_s)
+        else:
+            self._count += 1
+        return True
+
+
+class Inbox:
+    """A signal by which other threads wake the one that waits."""
+
+    def __init__(self) -> None:
+        #: Held while nobody has woken it.
+        self._asleep = threading.Lock()
+        self._asleep.acquire()
+
+    def wake(self) -> None:
+        """End the present wait, or the next one if nobody waits; any thread may call this."""
+        with contextlib.suppress(RuntimeError):  # It is woken already.
+            self._asleep.release()
+
+    def wait(self, timeout_s: float) -> None:
+        """
+        Wait until there may be something to do.
+
+        :param timeout_s: how long to wait at most [s]
+        """
+        self._asleep.acquire(timeout=max(0.0, timeout_s))
+
+    def take(self, most: int) -> None:
+        """
+        Take the messages that have come, without waiting; here there are none.
+
+        :param most: how many of each topic
+        """
+
+
+class CallQueue:
+    """
+    Functions that wait for the simulation's thread, in the order in which they came.
+
+    :param inbox: wakes that thread
+    """
+
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[Callable[[], object], Future[object]]] = []
+        self._ended = False
+
+    def __bool__(self) -> bool:
+        """Return whether a function waits."""
+        return bool(self._waiting)
+
+    def run(self, function: Callable[[], T]) -> T:
+        """
+        Let the simulation's thread run a function, and wait until it has.
+
+        :returns: what the function returns
+        :raises Exception: what the function raises
+        :raises SimulationEnded: if the simulation has ended, or ends before it runs the function
+        """
+        future: Future[T] = Future()
+        with self._lock:
+            if self._ended:
+                raise SimulationEnded('the simulation has ended')
+            self._waiting.append((function, future))  # type: ignore[arg-type]
+        self._inbox.wake()
+        try:
+            return future.result()
+        except CancelledError as error:
+            raise SimulationEnded('the simulation has ended') from error
+
+    def answer(self) -> None:
+        """Run the functions that wait; called in the simulation's thread."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+        for function, future in waiting:
+            try:
+                future.set_result(function())
+            except Exception as error:
+                future.set_exception(error)
+            except BaseException as error:  # It ends the thread, for which nobody may wait then.
+                for _, other in waiting:
+                    if not other.done():
+                        other.set_exception(error)
+                raise
+
+    def end(self) -> None:
+        """Cancel the functions that wait, and accept no more."""
+        with self._lock:
+            self._ended = True
+            waiting, self._waiting = self._waiting, []
+        for _, future in waiting:
+            future.cancel()
 
 
 def _nothing() -> None:

@@ -43,8 +43,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.interface.topics import BY_NAME
 from manip_sim.models import untrusted_models
 from manip_sim.quoting import pluralize
-from manip_sim.rclpy_internals import RCLError, without_source
-from manip_sim.ros.arguments import start_ros
+from manip_sim.rclpy_internals import RCLError, start_ros, without_source
 from manip_sim.ros.executor import BACKGROUND_THREAD
 from manip_sim.startup import EndSignals, leave
 from manip_sim.viewer.discovery import Discovery, name_of, PolledExecutor, Readers, States

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from manip_sim.errors import ModelError
-from manip_sim.interface.world_topics import topics_of
+from manip_sim.interface.topics import topics_of
 from manip_sim.models import compose
 from manip_sim.models.urdf_writer import choose_robot
 from manip_sim.moveit import write_package

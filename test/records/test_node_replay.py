@@ -24,8 +24,8 @@ from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with
 from manip_sim.records.recorder import decoder, definition, full_name, NODE, RecordFile
 from manip_sim.runtime import SimulationThread
-from manip_sim.runtime.action_goals import GoalTracker, GripperGoal, GripperRequest
-from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
+from manip_sim.runtime.action_goals import (
+    GoalTracker, GripperGoal, GripperRequest, TrajectoryGoal, TrajectoryRequest)
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from manip_sim import entry_points
+from manip_sim import resources
 from manip_sim.errors import RecordError
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import create_task, Episode
@@ -337,7 +337,7 @@ class Taken(TopicSource):
 
 def test_sensors_that_fail_are_named_once_and_the_others_and_the_episode_go_on(
         package_on_path, monkeypatch, record):
-    monkeypatch.setattr(entry_points, '_all_offers', entry_points._all_offers.__wrapped__)
+    monkeypatch.setattr(resources, '_all_offers', resources._all_offers.__wrapped__)
     digest = record('without.mcap', 3, 4).digest
     points = ['Height', 'Late', 'Field', 'Typeless', 'Broken', 'Taken']
     package_on_path('manip_sim.sensors', 'recorded_sensors', SENSORS, dict(zip(points, points)))

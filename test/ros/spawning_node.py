@@ -25,8 +25,7 @@ from rclpy.parameter import Parameter
 from manip_sim.models.user_files import AllowedRoots
 from manip_sim.ros.executor import GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
-from manip_sim.ros.simulation_interfaces_messages import StandardTypes
-from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.ros.spawning_services import SpawningServices, StandardTypes
 
 DEFAULTS = {'name': '', 'allow_renaming': False, 'uri': '', 'resource_string': '',
             'entity_namespace': '', 'entity': '', 'frame': '', 'position': [0.0] * 3,

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
-from manip_sim.interface.world_topics import actions_of
+from manip_sim.interface.topics import actions_of
 from manip_sim.models import compose
 from manip_sim.ros.action_servers import (
     GripperMessages, messages_of, ParallelGripperMessages, TrajectoryMessages)

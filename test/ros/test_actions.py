@@ -12,7 +12,7 @@ from rclpy.action import ActionClient, get_action_names_and_types
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from manip_sim.interface.world_topics import actions_of
+from manip_sim.interface.topics import actions_of
 
 pytest.importorskip('control_msgs', reason='the optional package control_msgs is not installed')
 

@@ -12,7 +12,7 @@ import time
 import pytest
 
 from manip_sim.ros import standard_services
-from manip_sim.ros.simulation_interfaces_messages import Rejection, ResultCode
+from manip_sim.ros.spawning_services import Rejection, ResultCode
 from manip_sim.ros.standard_services import matching
 
 TEXTS = ['', 'a', 'b', 'ab', 'ba', 'aab', 'abb', 'abab', 'bbb', 'cube', 'robot0_link1', 'a-b',

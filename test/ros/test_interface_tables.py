@@ -12,8 +12,7 @@ from sensor_msgs.msg import JointState
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.composition import compose_world, declare_cameras, declare_parts
 from manip_sim.interface.parameter_spec import GivenParameters
-from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS
-from manip_sim.interface.world_topics import topics_of_world
+from manip_sim.interface.topics import PUBLISHED, SERVICES, SUBSCRIBED, TOPICS, topics_of_world
 from manip_sim.ros import visualization_topics
 from manip_sim.ros.messages import message_class
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from manip_sim.ros.diagnostics import Pace
-from manip_sim.runtime.pacing import Progress
+from manip_sim.runtime.simulation_thread import Progress
 
 
 class Clockwork:

@@ -15,7 +15,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 import yaml
 
-from manip_sim.interface.world_topics import STALLS
+from manip_sim.interface.topics import STALLS
 from manip_sim.models.urdf_writer import OWN_PLUGIN
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'

@@ -16,8 +16,7 @@ from harness import Served
 import pytest
 from rclpy.node import Node
 
-from manip_sim.interface.topics import PUBLISHED, SERVICES, TOPICS
-from manip_sim.interface.world_topics import actions_of
+from manip_sim.interface.topics import actions_of, PUBLISHED, SERVICES, TOPICS
 from manip_sim.resources import share_directory
 from manip_sim.ros import standard_services, visualization_topics
 

@@ -23,15 +23,14 @@ from simulation_interfaces import msg as messages  # noqa: E402
 from simulation_interfaces import srv  # noqa: E402
 from simulation_interfaces.action import SimulateSteps  # noqa: E402
 from simulation_interfaces.msg import (  # noqa: E402
-    Bounds, EntityCategory, EntityFilters, EntityInfo, Result, SimulationState,
-    SimulatorFeatures, TagsFilter)
+    Bounds, EntityCategory, EntityFilters, EntityInfo, Result, SimulationState, SimulatorFeatures,
+    TagsFilter)
 from simulation_interfaces.srv import (  # noqa: E402
-    DeleteEntity, GetEntities, GetEntitiesStates, GetEntityBounds, GetEntityInfo,
-    GetEntityState, GetSimulationState, GetSimulatorFeatures,
-    ResetSimulation, SetEntityInfo, SetEntityState, SetSimulationState, SpawnEntity,
-    StepSimulation)
+    DeleteEntity, GetEntities, GetEntitiesStates, GetEntityBounds, GetEntityInfo, GetEntityState,
+    GetSimulationState, GetSimulatorFeatures, ResetSimulation, SetEntityInfo, SetEntityState,
+    SetSimulationState, SpawnEntity, StepSimulation)
 
-from manip_sim.ros import simulation_interfaces_messages as codes  # noqa: E402
+from manip_sim.ros import spawning_services as codes  # noqa: E402
 
 ARM = [f'robot0_joint{n}' for n in range(1, 8)]
 STOPPED, PLAYING, PAUSED = (

@@ -3,7 +3,8 @@
 
 """The rate and noise of single sensors, and descriptions that cannot be used."""
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from rclpy.qos import qos_profile_sensor_data
@@ -11,8 +12,7 @@ from sensor_msgs.msg import Imu, JointState
 
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.offered_sensors import SensorSettings
-from manip_sim.interface.topics import Scope
-from manip_sim.interface.world_topics import topics_of_instruments
+from manip_sim.interface.topics import Scope, topics_of_instruments
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 

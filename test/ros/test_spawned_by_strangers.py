@@ -17,7 +17,8 @@ from xml.sax.saxutils import quoteattr
 
 from geometry_msgs.msg import Point, PoseStamped
 from harness import START_S
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -33,8 +34,7 @@ from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.resources import asset_path, share_directory
 from manip_sim.ros import spawning_services
 from manip_sim.ros.executor import BACKGROUND_THREAD, begin, in_background
-from manip_sim.ros.simulation_interfaces_messages import StandardTypes
-from manip_sim.ros.spawning_services import SpawningServices
+from manip_sim.ros.spawning_services import SpawningServices, StandardTypes
 from manip_sim.simulation.robot_spawning import RequestedRobot
 from manip_sim.startup import leave
 

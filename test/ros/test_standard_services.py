@@ -23,10 +23,10 @@ from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics import object_spawning
 from manip_sim.ros import spawning_services
 from manip_sim.ros.feature import NodeContext
-from manip_sim.ros.simulation_interfaces_messages import (
+from manip_sim.ros.spawning_services import (
     BoundsType, Category, FeatureCode, LoadCode, ResultCode, ScopeCode, SetEntityCode,
-    SetStateCode, SpawnAllCode, SpawnCode, StandardTypes, StateCode, TagsMode, WorldCode)
-from manip_sim.ros.spawning_services import SpawningServices
+    SetStateCode, SpawnAllCode, SpawnCode, SpawningServices, StandardTypes, StateCode, TagsMode,
+    WorldCode)
 from manip_sim.ros.standard_services import EntityServices, SimulationInterfaces, WorldServices
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import Simulation

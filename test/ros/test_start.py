@@ -18,8 +18,8 @@ from rclpy.executors import InvalidHandle
 
 from manip_sim.errors import ManipSimError
 from manip_sim.ros import sim_node
-from manip_sim.ros.arguments import for_other_nodes
 from manip_sim.ros.declared_parameters import Parameters
+from manip_sim.ros.process import for_other_nodes
 
 QOS = 'qos_overrides./joint_states.publisher'
 REJECTED = {

@@ -5,7 +5,7 @@
 
 import pytest
 
-from manip_sim.runtime.pacing import Pacer
+from manip_sim.runtime.simulation_thread import Pacer
 
 
 def count_due(pacer, until_s, tick_s, start_s=0.0):

@@ -17,7 +17,7 @@ from manip_sim.errors import CommandError, ModelError, SimulationEnded, UnknownN
 from manip_sim.models import World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import simulation_thread, SimulationThread
-from manip_sim.runtime.observers import Observers
+from manip_sim.runtime.simulation_thread import Observers
 from manip_sim.simulation import Simulation
 
 

@@ -32,7 +32,7 @@ from manip_sim.control.law.loading import load_laws
 from manip_sim.errors import SimulationEnded
 from manip_sim.models import compose
 from manip_sim.ros.action_servers import messages_of
-from manip_sim.ros.simulation_interfaces_messages import ResultCode
+from manip_sim.ros.spawning_services import ResultCode
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.action_goals import ActionGoal, GoalError, GoalTracker
 from manip_sim.simulation import Simulation
