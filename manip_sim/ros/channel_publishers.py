@@ -1,49 +1,33 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""
-Publish channels while they have subscribers; all messages of an instant have its stamp.
-
-Images of the chosen cameras are rendered in a thread of their own.
-"""
+"""Publish channels while they have subscribers; all messages of an instant have its stamp."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-import json
-import time
 from typing import Any
 
 from builtin_interfaces.msg import Time
-import mujoco
 import numpy as np
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
-from std_msgs.msg import String
 
 from manip_sim.arrays import FloatArray
-from manip_sim.channels.contents import Channel, Fields, image_channels, ImageChannel, stamp_fields
+from manip_sim.channels.contents import Channel, Fields
 from manip_sim.channels.kinds import (
     clock_channel, instrument_channels, lidar_channel, object_channels, offered_channel,
     robot_channels)
 from manip_sim.errors import ManipSimError, ModelError
-from manip_sim.frame_names import FrameNames
 from manip_sim.interface.offered_sensors import Offered, offered_topics, SensorSettings
-from manip_sim.interface.parameters import periods_per_image
-from manip_sim.interface.topics import (
-    BY_NAME, JointNames, Scope, Topic, topics_of_instruments, truths)
-from manip_sim.models.cameras import ImageSettings, LidarModel
+from manip_sim.interface.topics import JointNames, Scope, topics_of_instruments
+from manip_sim.models.cameras import LidarModel
 from manip_sim.quoting import one_line
-from manip_sim.rendering.offscreen import BACKGROUND, choose_gl, Intrinsics, intrinsics_of, Picture
-from manip_sim.ros.feature import create_output, create_publisher, Feature, NodeContext, Output
+from manip_sim.ros.feature import create_output, Feature, NodeContext
 from manip_sim.ros.messages import (
     checked, CONTROLLER_TYPE, message_class, message_of, nanoseconds_of, SerializedMessage)
-from manip_sim.runtime.camera_thread import CameraThread, CameraView, Shot
-from manip_sim.sensing.images import CameraSensing, ImageNoise
 from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 
 #: Fields with names of joints.
 _JOINT_NAMES = ('name', 'joint_names')
@@ -311,231 +295,3 @@ def lidar_scans(context: NodeContext, lidar: LidarModel) -> ChannelPublishers:
         f'lidar {lidar.name}: {lidar.rays.rings} x {lidar.rays.samples} rays, '
         f'{1.0 / (period_s * channel.every):.4g} Hz, on {channel.topic.name}')
     return ChannelPublishers(context, lambda _: [[channel]], channel.every)
-
-
-#: Time that the start waits for OpenGL [s].
-_READY_S = 10.0
-
-
-def body_names(model: mujoco.MjModel) -> str:
-    """Return the names of all bodies and the background by their labels, as JSON."""
-    return json.dumps({BACKGROUND: 'background',
-                       **{body: model.body(body).name for body in range(model.nbody)}})
-
-
-def _create_output(context: NodeContext, row: Topic) -> Output:
-    """Create an output whose messages are published at once, not in a thread of states."""
-    return Output(create_publisher(context, row), context.log)
-
-
-class ImageOutputs:
-    """The topics of the images of one camera, as they are measured or exact."""
-
-    def __init__(self, context: NodeContext, channels: Iterable[ImageChannel]) -> None:
-        self._topics = [(channel, _create_output(context, channel.topic)) for channel in channels]
-
-    def wanted(self) -> tuple[bool, bool, bool]:
-        """Return whether colours, depth and labels have subscribers."""
-        parts = {part for channel, output in self._topics if output.wanted
-                 for part in channel.parts}
-        return 'rgb' in parts, 'depth' in parts, 'labels' in parts
-
-    def publish(self, head: Fields, picture: Picture, noise: ImageNoise | None) -> None:
-        rgb, depth = picture.rgb, picture.depth
-        if noise is not None:
-            rgb = None if rgb is None else noise.on_colours(rgb)
-            depth = None if depth is None else noise.on_depth(depth)
-        parts = {'rgb': rgb, 'depth': depth, 'labels': picture.labels}
-        for channel, output in self._topics:
-            if parts[channel.parts[0]] is not None and output.wanted:
-                output.publish(message_of(channel.topic.type, channel.make(
-                    head, *(parts[part] for part in channel.parts))))
-
-
-class CameraPublishers:
-    """
-    The topics of one camera.
-
-    :param name: of the camera
-    :param depth: whether there are depth images
-    :param sensing: its noise and latency
-    """
-
-    def __init__(self, context: NodeContext, name: str, intrinsics: Intrinsics, depth: bool,
-                 sensing: CameraSensing[Snapshot]) -> None:
-        self._context = context
-        self.view = CameraView(name, intrinsics.width, intrinsics.height)
-        self.sensing = sensing
-        model = context.simulation.model
-        self._frame_id = context.frame_prefix + FrameNames(model).opticals[model.camera(name).id]
-        channels = image_channels(name, intrinsics, depth)
-        self._seen = [channel for channel in channels if channel.parts]
-        self._images = {False: ImageOutputs(context, self._seen)}
-        self._infos = [(channel, _create_output(context, channel.topic)) for channel in channels
-                       if not channel.parts]
-        self._names = _create_output(context, BY_NAME['<camera>/labels/names'].filled_in(name))
-
-    def publish_truth(self) -> None:
-        """Also publish exact images, below ``truth/``, if noise or latency of images is set."""
-        if True in self._images or not self.sensing.sensing.settings.measures_images:
-            return
-        rows = truths([channel.topic for channel in self._seen])
-        self._context.table += rows
-        self._images[True] = ImageOutputs(self._context, [
-            replace(channel, topic=row) for channel, row in zip(self._seen, rows)])
-
-    def wanted(self, exact: bool) -> tuple[bool, bool, bool]:
-        """Return whether colours, depth and labels have subscribers, of exact images or others."""
-        images = self._images.get(exact)
-        return (False, False, False) if images is None else images.wanted()
-
-    def have_subscribers(self) -> bool:
-        return any((*self.wanted(False), *self.wanted(True), self.infos_wanted()))
-
-    def infos_wanted(self) -> bool:
-        return any(output.wanted for _, output in self._infos)
-
-    def publish_names(self, names: str) -> None:
-        """Publish the names of the labels, as :func:`body_names` returns them."""
-        self._names.publish(String(data=names))
-
-    def publish_infos(self, time_ns: int) -> None:
-        for channel, output in self._infos:
-            if output.wanted:
-                output.publish(message_of(channel.topic.type, channel.make(self._head(time_ns))))
-
-    def _head(self, time_ns: int) -> Fields:
-        return {'stamp': stamp_fields(time_ns), 'frame_id': self._frame_id}
-
-    def publish(self, shot: Shot) -> None:
-        """Publish what the camera saw, and the intrinsics for that instant."""
-        time_ns = shot.snapshot.time_ns
-        self._images[shot.view.exact].publish(self._head(time_ns), shot.picture, shot.noise)
-        if not shot.view.exact:
-            self.publish_infos(time_ns)
-
-
-class Cameras(Feature):
-    """
-    The chosen cameras: due snapshots go to the thread that renders, its images to the topics.
-
-    :param chosen: settings of their images, by the name of the camera
-    :raises ModelError: if a camera is orthographic
-    :ivar names: of the cameras
-    """
-
-    def __init__(self, context: NodeContext, chosen: Mapping[str, ImageSettings]) -> None:
-        self._context = context
-        simulation, model = context.simulation, context.simulation.model
-        self._publishers = {name: CameraPublishers(
-            context, name, intrinsics_of(model, name, images.width, images.height), images.depth,
-            CameraSensing(name, simulation.instruments.sensing_of(
-                int(model.cam_bodyid[model.camera(name).id]))))
-            for name, images in chosen.items()}
-        self.names = list(self._publishers)
-        self._renderer: CameraThread | None = None
-        self._unable: ManipSimError | None = None
-        self._counts: Counter[str] = Counter()
-        self._rendering_s: dict[str, float] = {}
-        self.world_changed()
-        publish_rate = 1.0 / context.thread.period_s
-        for name, images in chosen.items():
-            every = periods_per_image(publish_rate, images.rate_hz, f'camera.{name}.rate')
-            self._watch(name, every)
-            context.notes.append(
-                f'camera {name}: {images.width} x {images.height}, {publish_rate / every:.4g} Hz, '
-                f'on {name}/color/image_raw'
-                + (f' and {name}/depth/image_raw' if images.depth else ''))
-
-    @property
-    def failed(self) -> ManipSimError | None:
-        """The reason for missing images, or None."""
-        return self._unable or (self._renderer.failed if self._renderer is not None else None)
-
-    def start(self) -> None:
-        """Start the thread that renders; without OpenGL log an error, and go on without images."""
-        if not self._publishers:
-            return
-        try:
-            self._renderer = CameraThread(
-                choose_gl(), VisibleWorld(self._context.simulation.plan),
-                [camera.view for camera in self._publishers.values()], self._publish,
-                self._report_failure)
-        except ManipSimError as error:
-            self._unable = error
-            self._report_failure(error)
-        else:
-            self._renderer.start(_READY_S)
-
-    def world_changed(self) -> None:
-        """Publish the names of the labels that the simulation has now."""
-        names = body_names(self._context.simulation.model) if self._publishers else ''
-        for publishers in self._publishers.values():
-            publishers.publish_names(names)
-
-    def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
-        for publishers in self._publishers.values():
-            publishers.publish_truth()
-
-    def _report_failure(self, error: ManipSimError) -> None:
-        self._context.node.get_logger().error(f'no images: {error}; everything else works')
-
-    def close(self) -> None:
-        """End the thread that renders; if rendering hangs, it is abandoned."""
-        if self._renderer is not None and not self._renderer.stop():
-            self._context.node.get_logger().error('rendering hangs; its thread is abandoned')
-
-    def _watch(self, camera: str, every: int) -> None:
-        """Request an image of a camera every so many control periods from now on."""
-        publishers, thread = self._publishers[camera], self._context.thread
-
-        def record(simulation: Simulation) -> None:
-            publishers.sensing.record(take_snapshot(simulation))
-
-        def observe(simulation: Simulation) -> None:
-            if thread.is_due(every):
-                self._order(publishers, simulation)
-        # Later images must not depend on subscribers.
-        thread.observe(record, 1, lambda: publishers.sensing.delays)
-        thread.observe(observe, every, publishers.have_subscribers)
-
-    def _order(self, publishers: CameraPublishers, simulation: Simulation) -> None:
-        renderer, measured, exact = (
-            self._renderer, publishers.wanted(False), publishers.wanted(True))
-        can_render = renderer is not None and renderer.failed is None
-        if not any(measured) or not can_render:
-            publishers.publish_infos(simulation.time_ns)
-        if renderer is None or not can_render:
-            return
-        now = take_snapshot(simulation)
-        if any(measured):
-            seen, noise = publishers.sensing.measured(now)
-            # As with states, the stamp is the time of the cycle that publishes it.
-            renderer.order(publishers.view, replace(seen, time_ns=now.time_ns), *measured, noise)
-        if any(exact):
-            renderer.order(replace(publishers.view, exact=True), now, *exact)
-
-    def _publish(self, shot: Shot) -> None:
-        name = shot.view.camera
-        begin_s = time.perf_counter()
-        self._publishers[name].publish(shot)
-        if shot.view.exact:
-            return
-        self._counts[name] += 1
-        self._rendering_s[name] = (self._rendering_s.get(name, 0.0) + shot.took_s
-                                   + time.perf_counter() - begin_s)
-
-    def statistics(self, elapsed_s: float) -> dict[str, object]:
-        """
-        Return rate and wall time per image since the last call, and how many were left out so far.
-
-        :param elapsed_s: wall time since the last call [s]
-        """
-        values: dict[str, object] = {}
-        for name in self.names:
-            count, took_s = self._counts.pop(name, 0), self._rendering_s.pop(name, 0.0)
-            values[f'{name}.rate'] = f'{count / elapsed_s:.1f}' if elapsed_s > 0.0 else '0.0'
-            values[f'{name}.milliseconds'] = f'{took_s / count * 1e3:.1f}' if count else '-'
-            values[f'{name}.left_out'] = (
-                self._renderer.left_out[name] if self._renderer is not None else 0)
-        return values

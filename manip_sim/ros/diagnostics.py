@@ -26,7 +26,7 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.quoting import one_line, quoted, quoted_names
 from manip_sim.rclpy_internals import describe_unheard, endpoint_counts, is_unheard
-from manip_sim.ros.channel_publishers import Cameras
+from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.command_subscribers import (
     CommandStatistics, CommandSubscribers, RobotCommands, SurroundingsCommands)
 from manip_sim.ros.feature import Feature, NodeContext

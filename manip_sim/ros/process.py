@@ -27,10 +27,10 @@ from manip_sim.interface.parameter_spec import matches, sections_of
 from manip_sim.models import untrusted_models
 from manip_sim.quoting import quoted, quoted_names
 from manip_sim.rclpy_internals import import_type_supports, start_ros
+from manip_sim.ros.camera_publishers import THREAD_NAME
 from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.executor import BACKGROUND_THREAD, begin, GuardedExecutor
 from manip_sim.ros.sim_node import SimNode
-from manip_sim.runtime import camera_thread
 from manip_sim.startup import EndSignals, leave
 
 #: Period at which the main thread checks whether the other threads still run [s].
@@ -59,7 +59,7 @@ def run(arguments: Sequence[str]) -> int:
     finally:
         rclpy.try_shutdown()
     untrusted_models.give_up()
-    return leave(code, camera_thread.THREAD_NAME, BACKGROUND_THREAD)
+    return leave(code, THREAD_NAME, BACKGROUND_THREAD)
 
 
 def _serve(asked_to_end: EndSignals, arguments: Sequence[str]) -> int:
@@ -185,7 +185,7 @@ def run_in_real_time(parameters: Parameters, logger: RcutilsLogger) -> None:
 def _threads() -> list[int]:
     """Return the ids of the threads that do not render."""
     rendering = {thread.native_id for thread in threading.enumerate()
-                 if thread.name == camera_thread.THREAD_NAME}
+                 if thread.name == THREAD_NAME}
     return sorted({int(task.name) for task in _THREADS.iterdir()} - rendering)
 
 

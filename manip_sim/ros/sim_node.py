@@ -29,8 +29,9 @@ from manip_sim.models.cameras import ImageSettings
 from manip_sim.quoting import one_line
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, MotionsUntilContact, offer_actions
+from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.channel_publishers import (
-    Cameras, clock, InstrumentPublishers, lidar_scans, object_states, OfferedSensors, robot_states)
+    clock, InstrumentPublishers, lidar_scans, object_states, OfferedSensors, robot_states)
 from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
 from manip_sim.ros.declared_parameters import Parameters

@@ -71,7 +71,7 @@ SCOPES = {
          'messages': (['manip_sim/ros/messages.py'], 0.1)},
         ['test/models', 'test/physics', 'test/control', 'test/simulation', 'test/cli',
          'test/moveit', 'test/viewer/test_scene.py',
-         'test/runtime/test_change_queue.py', 'test/runtime/test_camera_thread.py',
+         'test/runtime/test_change_queue.py', 'test/ros/test_camera_thread.py',
          'test/ros/test_serialized.py', 'test/ros/test_message_fields.py',
          'test/test_parameter_properties.py', '--ignore=test/models/test_add_your_own.py']),
     'node': Scope(

@@ -16,7 +16,7 @@ from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.rendering import choose_gl, OffscreenRenderer
-from manip_sim.runtime.camera_thread import _Order, CameraThread, CameraView
+from manip_sim.ros.camera_publishers import _Order, CameraThread, CameraView
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import take_snapshot, VisibleWorld
 
