@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import re
 from typing import Any, TYPE_CHECKING
 
@@ -56,12 +56,14 @@ class Composition:
     :ivar world: the world
     :ivar steps: physics steps of a control period
     :ivar task: the task, or None
+    :ivar cameras: settings of the images of the chosen cameras, by name, once they are declared
     """
 
     scopes: list[Scope]
     world: World
     steps: int
     task: Task | None = None
+    cameras: Mapping[str, ImageSettings] = field(default_factory=dict)
 
 
 def compose_world(parameters: ParameterSource) -> Composition:

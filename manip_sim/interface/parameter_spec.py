@@ -325,6 +325,12 @@ class GivenParameters:
         check_names(self.given, self.specs)
 
 
+def spawned_parameter(scope: Scope) -> ParameterSpec:
+    """Return the parameter that marks a robot that was spawned while the node ran."""
+    return ParameterSpec(SPAWNED, True, 'The robot was spawned: a node that starts with a dump of '
+                         'the parameters leaves out those of this robot.').within(scope)
+
+
 def forget_spawned(values: dict[str, Any], known: Iterable[str]) -> None:
     """
     Remove the parameters of spawned robots, which the dump of a node has.

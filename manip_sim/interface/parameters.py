@@ -13,7 +13,7 @@ from manip_sim.control.reflexes import DEFAULT, OFF
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import ParameterError
-from manip_sim.interface.parameter_spec import ParameterSpec, SPAWNED
+from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.topics import Scope
 from manip_sim.models.arenas import arena_names, arena_parameters, ArenaParameter
 from manip_sim.models.bases import base_names
@@ -447,12 +447,6 @@ def speed_parameter(scope: Scope) -> ParameterSpec:
     return ParameterSpec('speed_scaling', 1.0, 'Share of their speed at which trajectories are '
                          'followed, along the same paths; 0 lets them stand still.', live=True,
                          minimum=0.0, maximum=1.0).within(scope)
-
-
-def spawned_parameter(scope: Scope) -> ParameterSpec:
-    """Return the parameter that marks a robot that was spawned while the node ran."""
-    return ParameterSpec(SPAWNED, True, 'The robot was spawned: a node that starts with a dump of '
-                         'the parameters leaves out those of this robot.').within(scope)
 
 
 def steps_per_period(publish_rate: float, timestep: float) -> int:

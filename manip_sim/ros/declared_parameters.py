@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 
 from manip_sim.control.modes import MODES
+from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import describe_choices, ParameterError
 from manip_sim.interface.parameter_spec import (
     check_names, COUPLED, coupled_names, forget_spawned, ParameterSpec)
@@ -26,6 +27,7 @@ from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted
 from manip_sim.rclpy_internals import forget_parameters, parameter_overrides
+from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: Groups of parameters that set one another, by the name of one of them.
 _TIMED = dict.fromkeys(('control_mode', 'command_timeout', 'timeout_follows_mode'), 'control_mode')
@@ -273,6 +275,30 @@ class Parameters:
         """Return the present value of a parameter, as YAML or JSON has it."""
         value = self._node.get_parameter(name).value
         return value if isinstance(value, (str, bool, int, float)) else list(value)
+
+    def lockstep_parts(self, simulation: Simulation, robots: Mapping[Scope, SimulatedRobot]
+                       ) -> tuple[dict[str, list[str]], bool]:
+        """
+        Return the parts whose commands lock-step waits for, by robot, and whether for the arena's.
+
+        :raises ParameterError: if a robot has no such part, or lock-step would wait for nothing
+        """
+        needed, names = {}, [scope.parameter('lockstep_parts') for scope in robots]
+        # In ROS parameters, a list with one empty string stands for an empty list of strings.
+        given = [[part for part in self.value(name) if part] for name in names]
+        for name, robot, parts in zip(names, robots.values(), given):
+            known = [*robot.parts, *[ARENA] * bool(simulation.surroundings.actuators)]
+            if parts == ['arm'] and 'arm' not in robot.parts:
+                parts = list(robot.parts)
+            for part in parts:
+                if part not in known:
+                    raise ParameterError(f"parameter '{name}': this robot has no part '{part}'; "
+                                         f'it has {", ".join(robot.parts)}')
+            needed[robot.name] = [part for part in parts if part != ARENA]
+        lockstep = self.value('stepping') == 'lockstep'
+        if lockstep and not any(given):
+            raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
+        return needed, lockstep and any(ARENA in parts for parts in given)
 
     def _as_declared(self, parameter: Parameter) -> Parameter:
         spec = self._specs.get(parameter.name)

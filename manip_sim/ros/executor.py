@@ -23,6 +23,7 @@ from rclpy.executors import (
     ShutdownException, SingleThreadedExecutor, TimeoutException)
 from rclpy.node import Node
 
+from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line
 
 #: Least time between two warnings of one kind [s].
@@ -137,6 +138,23 @@ def begin(work: Callable[[], T], at_end: Callable[[], None] = lambda: None) -> F
         at_end()
     threading.Thread(target=run, name=BACKGROUND_THREAD, daemon=True).start()
     return outcome
+
+
+def load_laws() -> None:
+    """
+    Load what a simulation calls of compiled code, or compile it, in any thread.
+
+    :raises ManipSimError: if compiled control laws cannot be kept
+    """
+    # They import numba.
+    from manip_sim.control.law import kept, loading
+    from manip_sim.simulation import compiled_period
+    try:
+        loading.load_laws()
+        compiled_period.load()
+    except OSError as error:
+        raise ManipSimError(f'cannot keep compiled control laws in {kept.laws_folder()}: '
+                            f'{error.strerror}; set XDG_CACHE_HOME to another folder') from error
 
 
 async def in_background(node: Node, work: Callable[[], T]) -> T:

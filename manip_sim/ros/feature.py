@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Features of a node: their base class, the objects that they share, and their publishers.
+Features of a node: their base class, the context that they share, and their publishers.
+
+The context holds what is composed of the node's parameters, its threads and its names.
 
 Features of other packages are found here too, and their failures end nothing else.
 """
@@ -10,7 +12,8 @@ Features of other packages are found here too, and their failures end nothing el
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from functools import partial
 import inspect
 from queue import SimpleQueue
@@ -26,22 +29,28 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 
-from manip_sim.errors import ManipSimError, ModelError, SimulationEnded
+from manip_sim.errors import ManipSimError, ModelError, ParameterError, SimulationEnded
+from manip_sim.interface.composition import (
+    compose_world, Composition, declare_cameras, declare_parts)
 from manip_sim.interface.offered_sensors import filled_in
-from manip_sim.interface.parameter_spec import ParameterSpec
-from manip_sim.interface.topics import JointNames, Scope, Topic
-from manip_sim.quoting import one_line
+from manip_sim.interface.parameter_spec import ParameterSpec, spawned_parameter
+from manip_sim.interface.topics import (
+    JointNames, load_profile, Profile, Scope, Topic, topics_of_robot, topics_of_world)
+from manip_sim.quoting import one_line, quoted
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
 from manip_sim.resources import Offer, offers
-from manip_sim.ros.command_inbox import CommandInbox
+from manip_sim.ros.command_inbox import CommandInbox, CommandThread, create_command_inbox
 from manip_sim.ros.declared_parameters import Parameters
-from manip_sim.ros.executor import RejectionLog
+from manip_sim.ros.executor import RejectionLog, RESULT_ROUNDS, Rounds
 from manip_sim.ros.messages import message_class
 from manip_sim.runtime import SimulationThread
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 #: Period at which who waits checks whether the thread still runs [s].
 _WATCH_S = 0.5
+#: Number of publications that may wait, by stepping: states would become old in ``free``, else as
+#: many as there are states in a second, while a reader does not acknowledge.
+_MOST = {'free': 32, 'realtime': 20_000}
 
 
 class PublishingThread:
@@ -180,9 +189,13 @@ class NodeContext:
     :ivar inbox: takes the messages of commands; None: the executor does
     :ivar publishing: the thread that publishes; None: publishers do so themselves
     :ivar table: the rows of the table of topics for this world
+    :ivar composition: the world of the start
+    :ivar profile: names of others for topics, services and actions
     :ivar joint_names: what joints are called in messages
     :ivar notes: sentences for the user, logged after the start
     :ivar missing: by a ROS package that is not installed, what does not exist without it
+    :ivar command_thread: takes commands from ``inbox``; None: the thread of the simulation does
+    :ivar offered: classes of features of other packages
     :ivar features: of the node, in order
     :ivar is_built: true once everything is declared that belongs to the start
     """
@@ -197,9 +210,13 @@ class NodeContext:
     inbox: CommandInbox | None
     publishing: PublishingThread | None
     table: list[Topic]
+    composition: Composition
+    profile: Profile = field(default_factory=Profile)
     joint_names: JointNames = field(default_factory=JointNames)
     notes: list[str] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
+    command_thread: CommandThread | None = None
+    offered: Sequence[FeatureClass] = ()
     features: list[Feature] = field(default_factory=list)
     is_built: bool = False
 
@@ -207,6 +224,126 @@ class NodeContext:
         """Let all features follow robots or objects that have come or gone."""
         for feature in self.features:
             feature.world_changed()
+
+    def add_robot(self, name: str) -> None:
+        """Serve a robot that has come into the simulation, in the thread that spins the node."""
+        scope, robot = Scope(name), self.simulation.robots[name]
+        self.table += [row for row in topics_of_robot(scope, robot) if row not in self.table]
+        self.robots[scope] = robot
+        self.parameters.declare([spawned_parameter(scope)])
+        declare_parts(self.parameters, [(scope, robot.parts)])
+        for feature in self.features:
+            feature.robot_added(scope, robot)
+        self.world_changed()
+
+    async def remove_robot(self, name: str, remove: Callable[[], object]) -> None:
+        """
+        Let go of a robot, whose goals are aborted; awaited in the thread that spins the node.
+
+        :param remove: removes it from the simulation
+        """
+        scope = Scope(name)
+        for feature in self.features:
+            feature.robot_removed(scope)
+        remove()
+        del self.robots[scope]
+        # Clients get the results of their goals before the servers are gone.
+        await Rounds(self.node, RESULT_ROUNDS)
+        self.world_changed()
+        begin = scope.topic('')
+        self.table[:] = [row for row in self.table if not row.name.startswith(begin)]
+        self.parameters.undeclare(scope)
+
+    def close_features(self) -> None:
+        """Close all features, after the simulation's thread has ended."""
+        for feature in reversed(self.features):
+            feature.close()
+
+
+def create_context(node: Node, log: RejectionLog, ends: ExitStack) -> NodeContext:
+    """
+    Compose the world that the parameters of a node describe, and create what its features share.
+
+    Its threads do not run yet.
+
+    :param ends: gets the functions that end the threads and close the features
+    :raises ManipSimError: if a parameter cannot be used, or the models do not fit together
+    """
+    parameters = Parameters(node)
+    composition = compose_world(parameters)
+    profile = _profile(parameters, composition)
+    simulation = Simulation(composition.world)
+    robots = dict(zip(composition.scopes, simulation.robots.values()))
+    declare_parts(parameters, [(scope, robot.parts) for scope, robot in robots.items()])
+    composition = replace(composition, cameras=declare_cameras(
+        parameters, composition.world, simulation.model))
+    offered = load_features(parameters, node.get_logger().warning)
+    parameters.check_names()
+    frame_prefix = _frame_prefix(parameters)
+    table = topics_of_world(
+        simulation, robots, {name: images.depth for name, images in composition.cameras.items()},
+        composition.task is not None)
+    names, notes = JointNames(), []
+    if profile.name:
+        names = profile.joint_names(*robots.values())
+        notes.append(f'profile {profile.name}: ' + ', '.join(
+            f'{name} is {other}' for name, other in profile.names.items()))
+    threads = _create_threads(node, log, parameters, simulation, composition.steps, robots)
+    inbox, command_thread, publishing, thread = threads
+    context = NodeContext(
+        node, simulation, thread, robots, parameters, log, frame_prefix, inbox, publishing,
+        table, composition, profile, names, notes, command_thread=command_thread,
+        offered=offered)
+    # The last that is added here is the first to end.
+    if inbox is not None:
+        ends.callback(inbox.close)
+    if publishing is not None:
+        ends.callback(publishing.stop)
+    ends.callback(context.close_features)
+    ends.callback(thread.stop)
+    if command_thread is not None:
+        ends.callback(command_thread.stop)
+    return context
+
+
+def _create_threads(node: Node, log: RejectionLog, parameters: Parameters, simulation: Simulation,
+                    steps: int, robots: Mapping[Scope, SimulatedRobot]
+                    ) -> tuple[CommandInbox | None, CommandThread | None, PublishingThread | None,
+                               SimulationThread]:
+    """Create the inbox of commands, and the threads that take them, publish and simulate."""
+    value = parameters.value
+    lockstep = value('stepping') == 'lockstep'
+    lockstep_parts, waits_for_arena = parameters.lockstep_parts(simulation, robots)
+    inbox = create_command_inbox(node, log)
+    command_thread = None if inbox is None or lockstep else CommandThread(inbox)
+    # In lock-step, the thread of the physics waits for the answer to a state in any case.
+    publishing = None if lockstep else PublishingThread(_MOST[value('stepping')])
+    thread = SimulationThread(
+        simulation, steps, value('stepping'), value('real_time_factor'), lockstep_parts,
+        value('start_paused'), lambda failed, error: log.failure('commands', failed, error),
+        inbox if lockstep else None, None if command_thread is None else command_thread.take,
+        None if publishing is None else publishing.flush, waits_for_arena)
+    thread.pause_at(value('pause_at'))
+    return inbox, command_thread, publishing, thread
+
+
+def _frame_prefix(parameters: Parameters) -> str:
+    prefix: str = parameters.value('frame_prefix')
+    if prefix.startswith('/') or any(not c.isprintable() or c.isspace() for c in prefix):
+        raise ParameterError(f"parameter 'frame_prefix': {quoted(prefix)} cannot begin the name "
+                             "of a frame: it must not begin with '/' or contain spaces")
+    return prefix
+
+
+def _profile(parameters: Parameters, composition: Composition) -> Profile:
+    profile = load_profile(parameters.value('profile'))
+    if profile.name and any(scope.name for scope in composition.scopes):
+        raise ParameterError("parameter 'profile' needs a node with one robot; start a node for "
+                             'each, in namespaces')
+    if profile.name and parameters.value('ros2_control_tag'):
+        raise ParameterError("parameter 'profile' cannot be used with ros2_control_tag, whose "
+                             "hardware needs the node's own names of joints")
+    return profile
 
 
 class Output:
@@ -375,14 +512,9 @@ def _load(offer: Offer) -> type[Feature]:
     return feature
 
 
-def add_offered_features(context: NodeContext, classes: Sequence[FeatureClass], warn: Warn
-                         ) -> None:
-    """
-    Add the features of other packages; one that cannot be created does not hide the others.
-
-    :param classes: whose parameters are declared
-    """
-    for offer, feature in classes:
+def add_offered_features(context: NodeContext, warn: Warn) -> None:
+    """Add the features of other packages; one that cannot be created does not hide the others."""
+    for offer, feature in context.offered:
         before = [*context.table]
         try:
             context.features.append(OfferedFeature(context, offer, feature))

@@ -14,6 +14,7 @@ import json
 import threading
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
@@ -26,7 +27,7 @@ from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.models.faults import fault_from_text
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.physics.payload import Payload
-from manip_sim.quoting import quoted
+from manip_sim.quoting import one_line, quoted
 from manip_sim.ros.executor import in_background
 from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.sensing.settings import QUANTITIES
@@ -212,6 +213,10 @@ def _answer(function: Callable[[], str | None], done: str, _: Any, response: Any
     return response
 
 
+#: Sets parameters as rclpy does.
+SetAll = Callable[[Sequence[Parameter]], SetParametersResult]
+
+
 class LiveParameters(Feature):
     """The parameters that may change while the node runs."""
 
@@ -307,6 +312,30 @@ class LiveParameters(Feature):
         with contextlib.suppress(SimulationEnded):
             self._follow_laws()
             self._context.parameters.show(self._context.thread.call(self._acting))
+
+    def set_atomically(self, parameters: Sequence[Parameter], set_all: SetAll
+                       ) -> SetParametersResult:
+        """
+        Set all of some parameters or none, and say more than rclpy about those that cannot be set.
+
+        :param set_all: sets them as rclpy does
+        """
+        declared, thread = self._context.parameters, self._context.thread
+        reason = declared.rejection(parameters)
+        if reason is not None:
+            return SetParametersResult(successful=False, reason=reason)
+        before = {name: self._context.node.get_parameter(name) for name in declared.names}
+        seed = thread.next_seed
+        try:
+            return set_all(parameters)
+        except Exception as error:  # The class of a control mode may raise anything.
+            # Parameters act as before a change that failed half-way.
+            self.show()
+            with contextlib.suppress(Exception):
+                set_all(declared.changed_since(before))
+            thread.next_seed = seed
+            self.show()
+            return SetParametersResult(successful=False, reason=one_line(str(error)))
 
     def _acting(self) -> dict[str, Any]:
         """Return acting values by name."""

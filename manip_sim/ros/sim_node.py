@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 import contextlib
 import threading
 from typing import Any, TypeVar
@@ -17,42 +17,27 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
-from manip_sim.control.law.kept import all_are_kept, laws_folder
-from manip_sim.control.surroundings import ARENA
+from manip_sim.control.law.kept import all_are_kept
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.interface.composition import (
-    compose_world, Composition, declare_cameras, declare_parts, spawn_files)
 from manip_sim.interface.topics import (
-    JointNames, load_profile, Profile, PUBLISHED, Scope, SUBSCRIBED, Topic, topics_of_surroundings,
-    topics_of_world)
-from manip_sim.models.cameras import ImageSettings
-from manip_sim.quoting import one_line
+    Profile, PUBLISHED, SUBSCRIBED, Topic, topics_of_surroundings)
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, MotionsUntilContact, offer_actions
 from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.channel_publishers import (
     clock, InstrumentPublishers, lidar_scans, object_states, OfferedSensors, robot_states)
-from manip_sim.ros.command_inbox import CommandThread, create_command_inbox
 from manip_sim.ros.command_subscribers import RobotCommands, SurroundingsCommands
-from manip_sim.ros.declared_parameters import Parameters
 from manip_sim.ros.diagnostics import Diagnostics
-from manip_sim.ros.executor import BACKGROUND_THREAD, RejectionLog
-from manip_sim.ros.feature import (
-    add_offered_features, Feature, load_features, NodeContext, PublishingThread)
+from manip_sim.ros.executor import BACKGROUND_THREAD, load_laws, RejectionLog
+from manip_sim.ros.feature import add_offered_features, create_context, Feature, NodeContext
 from manip_sim.ros.services import LiveParameters, SimulationServices
 from manip_sim.ros.standard_services import StandardServices
-from manip_sim.ros.visualization_topics import check_frame_prefix, OdometryPublishers, SceneTopics
+from manip_sim.ros.visualization_topics import OdometryPublishers, SceneTopics
 from manip_sim.ros.world_publishers import (
     DescriptionPublisher, DynamicsPublisher, EpisodePublisher, JournalPublisher, ModelPublisher,
     SafetyStatePublisher, StartupLog, TaskPublisher)
-from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import SimulatedRobot, Simulation
-from manip_sim.simulation.compiled_period import load
 
 F = TypeVar('F', bound=Feature)
-#: Number of publications that may wait, by stepping: states would become old in ``free``, else as
-#: many as there are states in a second, while a reader does not acknowledge.
-_MOST = {'free': 32, 'realtime': 20_000}
 
 
 class SimNode(Node):
@@ -93,114 +78,32 @@ class SimNode(Node):
             raise
 
     def _build(self) -> None:
-        self.declared = Parameters(self)
-        composition = compose_world(self.declared)
-        self.profile = self._load_profile(composition)
-        self.simulation = Simulation(composition.world)
-        robots = dict(zip(composition.scopes, self.simulation.robots.values()))
-        declare_parts(self.declared, [(scope, r.parts) for scope, r in robots.items()])
-        cameras = declare_cameras(self.declared, composition.world, self.simulation.model)
-        offered = load_features(self.declared, self.get_logger().warning)
-        self.declared.check_names()
-        names = (self.profile.joint_names(*robots.values()) if self.profile.name else
-                 JointNames())
-        self.shared = self._create_context(composition, robots, names)
-        if self.profile.name:
-            self.shared.notes.append(f'profile {self.profile.name}: ' + ', '.join(
-                f'{name} is {other}' for name, other in self.profile.names.items()))
-        self.thread = self.shared.thread
-        self.table += topics_of_world(
-            self.simulation, robots, {name: images.depth for name, images in cameras.items()},
-            composition.task is not None)
-        self._add_features(self.shared, composition, cameras)
-        add_offered_features(self.shared, offered, self.get_logger().warning)
-        self._add(StartupLog(self.shared))
+        context = self.shared = create_context(self, self.rejections, self._ends)
+        self.declared, self.simulation, self.thread, self.profile, self.table = (
+            context.parameters, context.simulation, context.thread, context.profile,
+            context.table)
+        self._add_features(context)
+        add_offered_features(context, self.get_logger().warning)
+        self._add(StartupLog(context))
         self._parameters_changed([])
         self.declared.check_qos_names()
-        self.shared.is_built = True
+        context.is_built = True
         self.add_post_set_parameters_callback(self._parameters_changed)
-
-    def _create_context(self, composition: Composition, robots: dict[Scope, SimulatedRobot],
-                        joint_names: JointNames) -> NodeContext:
-        """Create the threads, which do not run yet, and the context that the features share."""
-        value = self.declared.value
-        frame_prefix = check_frame_prefix(value('frame_prefix'))
-        inbox = create_command_inbox(self, self.rejections)
-        lockstep = value('stepping') == 'lockstep'
-        self._command_thread = None if inbox is None or lockstep else CommandThread(inbox)
-        # In lock-step, the thread of the physics waits for the answer to a state in any case.
-        publishing = None if lockstep else PublishingThread(_MOST[value('stepping')])
-        thread = SimulationThread(
-            self.simulation, composition.steps, value('stepping'), value('real_time_factor'),
-            {robot.name: self._lockstep_parts(scope, robot) for scope, robot in robots.items()},
-            value('start_paused'),
-            lambda failed, error: self.rejections.failure('commands', failed, error),
-            inbox if lockstep else None,
-            None if self._command_thread is None else self._command_thread.take,
-            None if publishing is None else publishing.flush,
-            lockstep and any(ARENA in value(scope.parameter('lockstep_parts'))
-                             for scope in robots))
-        self._check_lockstep(robots)
-        thread.pause_at(value('pause_at'))
-        # The last that is added here is the first to end.
-        if inbox is not None:
-            self._ends.callback(inbox.close)
-        if publishing is not None:
-            self._ends.callback(publishing.stop)
-        self._ends.callback(self._close_features)
-        self._ends.callback(thread.stop)
-        if self._command_thread is not None:
-            self._ends.callback(self._command_thread.stop)
-        return NodeContext(
-            self, self.simulation, thread, robots, self.declared, self.rejections,
-            frame_prefix, inbox, publishing, self.table,
-            joint_names)
-
-    def _load_profile(self, composition: Composition) -> Profile:
-        profile = load_profile(self.declared.value('profile'))
-        if profile.name and any(scope.name for scope in composition.scopes):
-            raise ParameterError("parameter 'profile' needs a node with one robot; start a node "
-                                 'for each, in namespaces')
-        if profile.name and self.declared.value('ros2_control_tag'):
-            raise ParameterError("parameter 'profile' cannot be used with ros2_control_tag, whose "
-                                 "hardware needs the node's own names of joints")
-        return profile
 
     def renamed(self, name: str) -> str:
         """Return what a topic, service or action of ours is called with the profile."""
         return self.profile.names.get(name, name)
 
-    def _lockstep_parts(self, scope: Scope, robot: SimulatedRobot) -> list[str]:
-        # In ROS parameters, a list with one empty string stands for an empty list of strings.
-        name = scope.parameter('lockstep_parts')
-        parts: list[str] = [part for part in self.declared.value(name) if part]
-        if parts == ['arm'] and 'arm' not in robot.parts:
-            return list(robot.parts)
-        if ARENA in parts and self.simulation.surroundings.actuators:
-            parts.remove(ARENA)
-        for part in parts:
-            if part not in robot.parts:
-                raise ParameterError(f"parameter '{name}': this robot has no part '{part}'; it "
-                                     f'has {", ".join(robot.parts)}')
-        return parts
-
-    def _check_lockstep(self, scopes: Iterable[Scope]) -> None:
-        names = [scope.parameter('lockstep_parts') for scope in scopes]
-        if self.declared.value('stepping') == 'lockstep' and not any(
-                part for name in names for part in self.declared.value(name)):
-            raise ParameterError(f"parameter '{names[0]}': lockstep needs at least one part")
-
     def _add(self, feature: F) -> F:
         self.shared.features.append(feature)
         return feature
 
-    def _add_features(self, context: NodeContext, composition: Composition,
-                      cameras: Mapping[str, ImageSettings]) -> None:
+    def _add_features(self, context: NodeContext) -> None:
         """Create the features, in the order in which they publish a state."""
-        world, task = composition.world, None
+        world, task = context.composition.world, None
         restart: Callable[[int | None], None] = self.simulation.reset
-        if composition.task is not None:
-            task = self._add(TaskPublisher(context, composition.task))
+        if context.composition.task is not None:
+            task = self._add(TaskPublisher(context, context.composition.task))
             restart = task.restart
         self._live = self._add(LiveParameters(context))
         self._add(robot_states(context))
@@ -217,7 +120,7 @@ class SimNode(Node):
         self._add(DescriptionPublisher(context, world, instruments))
         dynamics = self._add(DynamicsPublisher(context))
         self._add(EpisodePublisher(context, restart, dynamics.publish))
-        self.cameras = self._add(Cameras(context, cameras))
+        self.cameras = self._add(Cameras(context, context.composition.cameras))
         for lidar in world.lidars:
             self._add(lidar_scans(context, lidar))
         self.actions = offer_actions(context, self.commands)
@@ -226,7 +129,7 @@ class SimNode(Node):
         self._add(SafetyStatePublisher(context))
         self._motions = self._add(MotionsUntilContact(context, self.commands))
         self._add(SimulationServices(context))
-        self._add(StandardServices(context, spawn_files(self.declared.value('spawn_roots'))))
+        self._add(StandardServices(context))
         self._add(Diagnostics(context, self.commands, self.surroundings, self.cameras))
         self._add(JournalPublisher(context, task))
         self.thread.restarted = self._live.show
@@ -268,24 +171,7 @@ class SimNode(Node):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters as rclpy does, but say more about those that cannot be set."""
-        reason = self.declared.rejection(parameter_list)
-        if reason is not None:
-            return SetParametersResult(successful=False, reason=reason)
-        before = {name: self.get_parameter(name) for name in self.declared.names}
-        seed = self.thread.next_seed
-        try:
-            return super().set_parameters_atomically(parameter_list)
-        except Exception as error:  # The class of a control mode may raise anything.
-            self._take_back(before)
-            self.thread.next_seed = seed
-            self._live.show()
-            return SetParametersResult(successful=False, reason=one_line(str(error)))
-
-    def _take_back(self, before: Mapping[str, Parameter]) -> None:
-        """Let parameters act as before a change that failed half-way."""
-        self._live.show()
-        with contextlib.suppress(Exception):
-            super().set_parameters_atomically(self.declared.changed_since(before))
+        return self._live.set_atomically(parameter_list, super().set_parameters_atomically)
 
     def start(self) -> None:
         """
@@ -300,11 +186,11 @@ class SimNode(Node):
             feature.start()
         self._live.show()
         self.thread.start()
-        if self._command_thread is not None:
-            self._command_thread.start()
+        if self.shared.command_thread is not None:
+            self.shared.command_thread.start()
         if kept:
             # The first command should not wait for them, and steps in Python cost more.
-            threading.Thread(target=_load_laws, name=BACKGROUND_THREAD).start()
+            threading.Thread(target=load_laws, name=BACKGROUND_THREAD).start()
         for feature in self.shared.features:
             feature.started()
 
@@ -315,7 +201,7 @@ class SimNode(Node):
         :raises ManipSimError: if they cannot be kept
         """
         self.get_logger().info('Compiling control laws, once, which takes about a minute')
-        _load_laws()
+        load_laws()
 
     def destroy_node(self) -> None:
         """End the simulation and destroy the node."""
@@ -325,7 +211,7 @@ class SimNode(Node):
     @property
     def ended_thread(self) -> str:
         """Name of the thread of the node that has ended unexpectedly, or empty."""
-        threads = {'the thread that takes commands': self._command_thread,
+        threads = {'the thread that takes commands': self.shared.command_thread,
                    'the thread that publishes': self.shared.publishing}
         return next((description for description, thread in threads.items()
                      if thread is not None and not thread.is_alive), '')
@@ -339,17 +225,3 @@ class SimNode(Node):
     def stop(self) -> None:
         """End the simulation, all threads of the node and its features; again, nothing."""
         self._ends.close()
-
-    def _close_features(self) -> None:
-        for feature in reversed(self.shared.features):
-            feature.close()
-
-
-def _load_laws() -> None:
-    from manip_sim.control.law.loading import load_laws  # It imports numba.
-    try:
-        load_laws()
-        load()
-    except OSError as error:
-        raise ManipSimError(f'cannot keep compiled control laws in {laws_folder()}: '
-                            f'{error.strerror}; set XDG_CACHE_HOME to another folder') from error

@@ -25,9 +25,7 @@ from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 
 from manip_sim.algebra import xyzw_to_wxyz
 from manip_sim.errors import CommandError, ManipSimError, ModelError, UnknownNameError
-from manip_sim.interface.composition import check_robot_name, declare_parts
-from manip_sim.interface.parameters import spawned_parameter
-from manip_sim.interface.topics import Scope, topics_of_robot
+from manip_sim.interface.composition import check_robot_name
 from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
 from manip_sim.models.object_model import check_object_name
@@ -36,11 +34,9 @@ from manip_sim.models.user_files import AllowedRoots, InMemoryFile, parse_reques
 from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import quoted
-from manip_sim.ros.executor import in_background, RESULT_ROUNDS, Rounds
+from manip_sim.ros.executor import in_background, Rounds
 from manip_sim.ros.feature import NodeContext
 from manip_sim.ros.messages import numbers_of, WORLD
-from manip_sim.runtime import SimulationThread
-from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import (
     plan_with_robot, plan_without_robot, RequestedRobot, RobotsPlan)
 
@@ -234,28 +230,28 @@ class Rejection(ManipSimError):
         self.code = code
 
 
-def reject_if_diverged(simulation: Simulation,
-                       code: int = ResultCode.RESULT_INCORRECT_STATE) -> None:
+def reject_if_diverged(context: NodeContext, code: int = ResultCode.RESULT_INCORRECT_STATE
+                       ) -> None:
     """
     Reject a request while the physics is on hold.
 
     :raises Rejection: if the simulation has diverged
     """
-    if simulation.diverged is not None:
-        raise Rejection(code, f'{simulation.diverged}; reset it first')
+    diverged = context.simulation.diverged
+    if diverged is not None:
+        raise Rejection(code, f'{diverged}; reset it first')
 
 
-def change_unless_diverged(simulation: Simulation, thread: SimulationThread,
-                           change: Callable[[], Any]) -> None:
+def change_unless_diverged(context: NodeContext, change: Callable[[], Any]) -> None:
     """
-    Change a simulation in its thread.
+    Change the simulation in its thread.
 
     :raises Rejection: if it has diverged; then nothing is called
     """
     def checked() -> None:
-        reject_if_diverged(simulation)
+        reject_if_diverged(context)
         change()
-    thread.call(checked)
+    context.thread.call(checked)
 
 
 def free_name(wanted: str, may_rename: bool, taken: Collection[str], problem: str,
@@ -324,12 +320,11 @@ class SpawnedRobots:
 
     def __init__(self, context: NodeContext) -> None:
         self._context = context
-        self._simulation, self._thread = context.simulation, context.thread
 
     @property
     def names(self) -> list[str]:
         """Names of the robots that can be deleted."""
-        return list(self._simulation.spawned_robots)
+        return list(self._context.simulation.spawned_robots)
 
     def free_name(self, wanted: str, may_rename: bool) -> str:
         """
@@ -344,7 +339,7 @@ class SpawnedRobots:
             '{} is taken: by a robot, an object, a topic or a parameter', check_robot_name)
 
     def _taken(self) -> set[str]:
-        context, simulation = self._context, self._simulation
+        context, simulation = self._context, self._context.simulation
         return {*simulation.robots, *simulation.entities.names,
                 *(row.name.partition('/')[0] for row in context.table if '/' in row.name),
                 *(name.partition('.')[0] for name in context.parameters.names if '.' in name)}
@@ -356,17 +351,8 @@ class SpawnedRobots:
         :param plan: with the robot
         :raises Rejection: if the physics is on hold
         """
-        change_unless_diverged(self._simulation, self._thread,
-                               partial(self._thread.change_robots, plan))
-        context, scope, robot = self._context, Scope(name), self._simulation.robots[name]
-        context.table += [row for row in topics_of_robot(scope, robot)
-                          if row not in context.table]
-        context.robots[scope] = robot
-        context.parameters.declare([spawned_parameter(scope)])
-        declare_parts(context.parameters, [(scope, robot.parts)])
-        for feature in context.features:
-            feature.robot_added(scope, robot)
-        context.world_changed()
+        change_unless_diverged(self._context, partial(self._context.thread.change_robots, plan))
+        self._context.add_robot(name)
 
     async def remove(self, name: str) -> None:
         """
@@ -375,18 +361,10 @@ class SpawnedRobots:
         :param name: one of :attr:`names`
         :raises ModelError: if the world cannot be without it
         """
-        context, simulation, scope = self._context, self._simulation, Scope(name)
-        plan = await in_background(context.node, lambda: plan_without_robot(simulation, name))
-        for feature in context.features:
-            feature.robot_removed(scope)
-        self._thread.change_robots(plan)
-        del context.robots[scope]
-        # Clients get the results of their goals before the servers are gone.
-        await Rounds(context.node, RESULT_ROUNDS)
-        context.world_changed()
-        begin = scope.topic('')
-        context.table[:] = [row for row in context.table if not row.name.startswith(begin)]
-        context.parameters.undeclare(scope)
+        context = self._context
+        plan = await in_background(
+            context.node, lambda: plan_without_robot(context.simulation, name))
+        await context.remove_robot(name, partial(context.thread.change_robots, plan))
 
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
@@ -424,13 +402,14 @@ class SpawningServices:
 
     :param files: that a request may name
     :param types: the message types of the package
+    :ivar files: as given
     :ivar group: of the services
     """
 
     def __init__(self, context: NodeContext, files: AllowedRoots, types: StandardTypes) -> None:
-        self._context, self._simulation, self._thread = context, context.simulation, context.thread
+        self._context, self._simulation = context, context.simulation
         self._robots = SpawnedRobots(context)
-        self._files, self._messages = files, types.messages
+        self.files, self._messages = files, types.messages
         # One group, because each plan is made from the one before.
         self.group = MutuallyExclusiveCallbackGroup()
         types.offer(context.node, {
@@ -464,7 +443,7 @@ class SpawningServices:
             with result_filled(response.result):
                 pose = _pose(request.initial_pose)
                 with _parsing():
-                    is_quick, create = _prepared(request, self._files)
+                    is_quick, create = _prepared(request, self.files)
                     item = create() if is_quick else await in_background(
                         self._context.node, create)
                 if isinstance(item, RequestedRobot):
@@ -549,8 +528,8 @@ class SpawningServices:
         self._take_over(plan_without(plan, name), 'delete', name)
 
     def _take_over(self, plan: WorldPlan, operation: str, *arguments: Any) -> None:
-        change_unless_diverged(self._simulation, self._thread, partial(
-            self._thread.change, operation, *arguments, using=plan))
+        change_unless_diverged(self._context, partial(
+            self._context.thread.change, operation, *arguments, using=plan))
         self._context.world_changed()
 
 

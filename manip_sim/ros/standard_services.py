@@ -15,15 +15,15 @@ from geometry_msgs.msg import Vector3
 import mujoco
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.errors import CommandError, UnknownNameError
+from manip_sim.interface.composition import spawn_files
 from manip_sim.models import arena_names, create_arena
 from manip_sim.models.arenas.arena import ARENAS
 from manip_sim.models.cameras import chosen_cameras
 from manip_sim.models.robots import robot_names
-from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.entities import Box, EntityState, Sphere
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import one_line, quoted
@@ -64,7 +64,7 @@ class EntityServices:
     """
 
     def __init__(self, context: NodeContext, types: StandardTypes) -> None:
-        self._simulation, self._thread = context.simulation, context.thread
+        self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._messages = types.messages
         #: Information that clients have set, by the name of the entity.
         self._infos: dict[str, _Info] = {}
@@ -163,7 +163,7 @@ class EntityServices:
                             f"it empty or write '{WORLD}'")
         pose, twist = _parts(request)
 
-        change_unless_diverged(self._simulation, self._thread, partial(
+        change_unless_diverged(self._context, partial(
             self._thread.change, 'place', name, pose and _listed(pose.position, pose.quat_xyzw),
             twist and _listed(twist.linear, twist.angular)))
 
@@ -351,7 +351,7 @@ class SimulationInterfaces:
             raise Rejection(SetStateCode.ALREADY_IN_TARGET_STATE,
                             'the simulation is in this state already')
         if target == StateCode.STATE_PLAYING:
-            reject_if_diverged(self._simulation, SetStateCode.STATE_TRANSITION_ERROR)
+            reject_if_diverged(self._context, SetStateCode.STATE_TRANSITION_ERROR)
         self._thread.pause(target != StateCode.STATE_PLAYING)
         if target == StateCode.STATE_STOPPED:
             self._thread.reset(restart_time=True)
@@ -441,19 +441,19 @@ class WorldServices:
 
     :param states: whose state is STOPPED after a world was loaded, and NO_WORLD after one was
         unloaded
-    :param files: that a request may name
     :param types: the message types of the package
-    :param group: of the services that spawn, because each plan is made from the one before
+    :param spawning: whose group these services share, because each plan is made from the one
+        before, and whose files a request may name
     """
 
-    def __init__(self, context: NodeContext, states: SimulationInterfaces, files: AllowedRoots,
-                 types: StandardTypes, group: CallbackGroup) -> None:
+    def __init__(self, context: NodeContext, states: SimulationInterfaces, types: StandardTypes,
+                 spawning: SpawningServices) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
-        self._states, self._files, self._types = states, files, types
+        self._states, self._files, self._types = states, spawning.files, types
         self._robots = SpawnedRobots(context)
         types.offer(context.node, {
             'LoadWorld': answering_later(self._load),
-            'UnloadWorld': answering_later(self._unload)}, group)
+            'UnloadWorld': answering_later(self._unload)}, spawning.group)
         types.offer(context.node, {
             'GetCurrentWorld': answering(self._get_current),
             'GetAvailableWorlds': answering(self._get_available),
@@ -486,7 +486,7 @@ class WorldServices:
 
     async def _enter(self, name: str) -> None:
         """Replace the arena, and stop the simulation at the start."""
-        reject_if_diverged(self._simulation)
+        reject_if_diverged(self._context)
         if self._context.parameters.value('task'):
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
                             'the world belongs to a task, which needs it')
@@ -590,17 +590,17 @@ class StandardServices(Feature):
     """
     The services of the standard under ``~/``; without their package a note.
 
-    :param files: that a request may name
+    :raises ModelError: if the parameter ``spawn_roots`` names what is no folder
     """
 
-    def __init__(self, context: NodeContext, files: AllowedRoots) -> None:
+    def __init__(self, context: NodeContext) -> None:
+        files = spawn_files(context.parameters.value('spawn_roots'))
         if not AVAILABLE:
             context.missing['simulation_interfaces'] = 'standard simulation services'
             return
         self._simulation = SimulationInterfaces(context, TYPES)
         self._entities = EntityServices(context, TYPES)
-        spawning = SpawningServices(context, files, TYPES)
-        WorldServices(context, self._simulation, files, TYPES, spawning.group)
+        WorldServices(context, self._simulation, TYPES, SpawningServices(context, files, TYPES))
 
     def world_changed(self) -> None:
         if AVAILABLE:

@@ -25,14 +25,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 from manip_sim.arrays import FloatArray
 from manip_sim.channels.contents import Channel
 from manip_sim.channels.kinds import odometry_channel
-from manip_sim.errors import ParameterError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_message
 from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.physics.entities import read_contacts
 from manip_sim.physics.parts import EndEffectorReader
 from manip_sim.physics.robot_frames import FrameTree, OdometryReader, TreeFrame
-from manip_sim.quoting import quoted
 from manip_sim.ros.channel_publishers import ChannelPublishers
 from manip_sim.ros.feature import create_output, Feature, NodeContext, Output
 from manip_sim.ros.messages import filled, import_optional, SerializedMessage, stamp_of, WORLD
@@ -229,18 +227,6 @@ def transforms(frames: Sequence[TreeFrame], prefix: str, stamp: Time, numbers: F
 
 #: The frame in which a mobile base has its odometry (REP 105), after the robot's prefix.
 ODOM = 'odom'
-
-
-def check_frame_prefix(prefix: str) -> str:
-    """
-    Check a prefix of the names of frames, and return it.
-
-    :raises ParameterError: if it begins with '/' or contains spaces or unprintable characters
-    """
-    if prefix.startswith('/') or any(not c.isprintable() or c.isspace() for c in prefix):
-        raise ParameterError(f"parameter 'frame_prefix': {quoted(prefix)} cannot begin the name "
-                             "of a frame: it must not begin with '/' or contain spaces")
-    return prefix
 
 
 class OdometryPublishers(ChannelPublishers):

@@ -18,6 +18,7 @@ import pytest
 from std_msgs.msg import Header
 
 from manip_sim.errors import DivergenceError
+from manip_sim.interface.composition import Composition
 from manip_sim.models import compose
 from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics import object_spawning
@@ -87,13 +88,13 @@ class Standard:
         context = NodeContext(
             node=self, simulation=self.simulation, thread=self.thread, robots={}, parameters=Plain(
                 value=self.parameters.get),
-            log=None, frame_prefix='', inbox=None, publishing=None, table=[], features=[
+            log=None, frame_prefix='', inbox=None, publishing=None, table=[],
+            composition=Composition([], self.world, 5), features=[
                 Plain(world_changed=lambda: self.followed.append(self.simulation))])
         states = SimulationInterfaces(context, TYPES)
         self.entity_services = EntityServices(context, TYPES)
         files = AllowedRoots([folder], 'spawn_roots')
-        spawning = SpawningServices(context, files, TYPES)
-        WorldServices(context, states, files, TYPES, spawning.group)
+        WorldServices(context, states, TYPES, SpawningServices(context, files, TYPES))
         self.thread.start()
 
     def create_service(self, service_type, name, callback, callback_group=None):

@@ -19,6 +19,7 @@ from rclpy.executors import InvalidHandle
 from manip_sim.errors import ManipSimError
 from manip_sim.ros import sim_node
 from manip_sim.ros.declared_parameters import Parameters
+from manip_sim.ros.executor import load_laws
 from manip_sim.ros.process import for_other_nodes
 
 QOS = 'qos_overrides./joint_states.publisher'
@@ -146,7 +147,7 @@ def test_compiled_laws_that_cannot_be_kept_are_one_line(monkeypatch):
     monkeypatch.setattr('manip_sim.control.law.loading.load_laws', fail)
     with pytest.raises(ManipSimError, match='cannot keep compiled control laws in .*: No space '
                        'left on device; set XDG_CACHE_HOME to another folder'):
-        sim_node._load_laws()
+        load_laws()
 
 
 def test_a_start_does_not_import_what_only_files_of_users_tasks_or_commands_need():
@@ -171,7 +172,7 @@ def test_a_node_imports_the_c_code_of_messages_without_the_generator_of_their_py
 def test_laws_that_are_kept_are_loaded_before_the_first_command(serve, monkeypatch, stepping):
     monkeypatch.setattr(sim_node, 'all_are_kept', lambda: True)
     loaded = threading.Event()
-    monkeypatch.setattr('manip_sim.ros.sim_node.load', loaded.set)
+    monkeypatch.setattr('manip_sim.ros.sim_node.load_laws', loaded.set)
     node = serve(stepping=stepping)
     assert loaded.wait(300.0)
     assert node.declared.value('stepping') == stepping
