@@ -166,7 +166,6 @@ _MAX_SIZE = 2**18
 #: Enough for the points of many joints with velocities and accelerations [bytes].
 _MAX_TRAJECTORY_SIZE = 2**24
 _MAX_JOINTS = 1000
-#: Size of the header of serialized data, which says how the data is encoded [bytes].
 
 
 def read_message(message_type: Any, data: bytes, most: int = _MAX_SIZE, noun: str = 'a command',
@@ -292,12 +291,12 @@ class SerializedMessage:
     def _is_right(self, patched: PatchedBytes) -> bool:
         # Bytes cannot be compared: rclpy leaves those between aligned numbers as they were.
         time_ns, numbers = 1_000_000_002, np.linspace(0.1, 9.9, self._count, dtype=np.float64)
-        made = self._make(stamp_of(time_ns), numbers)
-        # rclpy appends what happens to be in memory, up to the size that it has estimated.
-        patched.cut(_ENCODING_SIZE + _end('', made, 0))
+        made, data = self._make(stamp_of(time_ns), numbers), self._serialize(time_ns, numbers)
         try:
+            # rclpy appends what happens to be in memory, up to the size that it has estimated.
+            patched.cut(_Layout(deserialize_message(data, type(made)), data).end)
             return bool(made == deserialize_message(patched.at(time_ns, numbers), type(made)))
-        except RuntimeError:  # rclpy cannot read the bytes as such a message.
+        except (RuntimeError, ValueError):  # The bytes cannot be read as such a message.
             return False
 
     def at(self, time_ns: int, numbers: FloatArray) -> Any:
@@ -312,32 +311,6 @@ class SerializedMessage:
         return self._patched.at(time_ns, numbers)
 
 
-def _end(kind: str, value: Any, begin: int) -> int:
-    """
-    Return where a value ends in CDR; rclpy does not tell.
-
-    :param kind: its type as ``get_fields_and_field_types`` has it; of a message, it is not used
-    :param begin: where it begins behind the four bytes that name the encoding, before alignment
-    """
-    inner, is_sequence, _ = kind.partition('sequence<')[2].partition('>')
-    if kind.endswith(']') or is_sequence:
-        place = _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE if is_sequence else begin
-        item_kind = inner.partition(',')[0] or kind.partition('[')[0]
-        if item_kind in _SIZES and len(value):
-            return _aligned(place, _SIZES[item_kind]) + _SIZES[item_kind] * len(value)
-        for item in value:
-            place = _end(item_kind, item, place)
-        return place
-    if kind.startswith('string'):
-        return _aligned(begin, _LENGTH_SIZE) + _LENGTH_SIZE + len(value.encode()) + 1
-    if kind in _SIZES:
-        return _aligned(begin, _SIZES[kind]) + _SIZES[kind]
-    place = begin
-    for name, field in value.get_fields_and_field_types().items():
-        place = _end(field, getattr(value, name), place)
-    return place
-
-
 def _aligned(place: int, size: int) -> int:
     return -(-place // size) * size
 
@@ -349,6 +322,7 @@ class _Layout:
     :param message: read by rclpy; becomes the message of later bytes
     :param data: its bytes
     :raises ValueError: if the bytes are not those of the message in the known encoding
+    :ivar end: of the message in the data, whose size may be greater
     """
 
     def __init__(self, message: Any, data: bytes) -> None:
@@ -360,7 +334,7 @@ class _Layout:
         self._format = '<'
         self._scalars: list[tuple[Any, str]] = []
         self._arrays: list[tuple[Any, str, int, int]] = []
-        self._message_end(message, 0, False)
+        self.end = self._message_end(message, 0, False) + _ENCODING_SIZE
         self._unpack = struct.Struct(self._format).unpack_from
         self._mask = int.from_bytes(self._compared, 'little')
         self._pattern = int.from_bytes(data, 'little') & self._mask
@@ -394,7 +368,7 @@ class _Layout:
         return length, end
 
     def _message_end(self, message: Any, place: int, is_time: bool) -> int:
-        """Note the places in a message, as :func:`_end` walks; return its end."""
+        """Note the places in a message that begins at a place; return where it ends."""
         for name, kind in message.get_fields_and_field_types().items():
             value = getattr(message, name)
             if kind.startswith('sequence<') or kind.endswith(']'):
