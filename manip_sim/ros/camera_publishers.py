@@ -10,7 +10,7 @@ The thread gets snapshots from the physics, which never waits for it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 import json
 import threading
@@ -25,7 +25,6 @@ from manip_sim.errors import ManipSimError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import BY_NAME, Topic, truths
-from manip_sim.models.cameras import ImageSettings
 from manip_sim.rendering.offscreen import (
     BACKGROUND, cannot_render, choose_gl, Intrinsics, intrinsics_of, OffscreenRenderer, Picture)
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext, Output
@@ -325,13 +324,12 @@ class Cameras(Feature):
     """
     The chosen cameras: due snapshots go to the thread that renders, its images to the topics.
 
-    :param chosen: settings of their images, by the name of the camera
     :raises ModelError: if a camera is orthographic
     :ivar names: of the cameras
     """
 
-    def __init__(self, context: NodeContext, chosen: Mapping[str, ImageSettings]) -> None:
-        self._context = context
+    def __init__(self, context: NodeContext) -> None:
+        self._context, chosen = context, context.composition.cameras
         simulation, model = context.simulation, context.simulation.model
         self._publishers = {name: CameraPublishers(
             context, name, intrinsics_of(model, name, images.width, images.height), images.depth,

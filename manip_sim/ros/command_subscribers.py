@@ -32,12 +32,12 @@ from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.topics import Scope, SUBSCRIBED, Topic, topics_of, topics_of_surroundings
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import pluralize, quoted
-from manip_sim.ros import messages
 from manip_sim.ros.command_inbox import CommandInbox
 from manip_sim.ros.executor import kind_of
 from manip_sim.ros.feature import Feature, NodeContext, qos_options
 from manip_sim.ros.messages import (
-    message_class, MessageReader, nanoseconds_of, numbers_of, read_command, trajectory_fields)
+    message_class, MessageReader, nanoseconds_of, numbers_of, read_command, trajectory_fields,
+    WORLD)
 from manip_sim.simulation import SimulatedRobot
 
 #: Number of commands of a topic that may wait.
@@ -383,7 +383,7 @@ class SurroundingsCommands(Feature):
                 self._inputs[row] = self._subscribe(row)
 
     def _subscribe(self, row: Topic) -> CommandSubscription:
-        message_type, use = messages.message_class(row.type), partial(self._take[row.by], row.of)
+        message_type, use = message_class(row.type), partial(self._take[row.by], row.of)
         counts = self.statistics[_counted_as(row)] = CommandStatistics()
         read = MessageReader(message_type).read
 
@@ -403,7 +403,7 @@ class SurroundingsCommands(Feature):
         direct = self._surroundings.commands[part]
         controls = direct.checked(
             message.name, message.position, message.velocity, message.effort)
-        stamp_ns = messages.nanoseconds_of(message.header.stamp)
+        stamp_ns = nanoseconds_of(message.header.stamp)
         if not controls:  # They go on as before, which answers a state too.
             self._changes.at_next_period(f'{part}/', 'answer', stamp_ns=stamp_ns)
         for name, value in controls.items():
@@ -412,9 +412,9 @@ class SurroundingsCommands(Feature):
                 stamp_ns=stamp_ns)
 
     def _check_frame(self, frame_id: str) -> None:
-        if frame_id.removeprefix(self._context.frame_prefix) not in ('', messages.WORLD):
+        if frame_id.removeprefix(self._context.frame_prefix) not in ('', WORLD):
             raise CommandError(f'frame_id {quoted(frame_id)} is not supported: '
-                               f"leave it empty or write '{messages.WORLD}'")
+                               f"leave it empty or write '{WORLD}'")
 
     def _target(self, name: str, message: PoseStamped) -> None:
         self._check_frame(message.header.frame_id)

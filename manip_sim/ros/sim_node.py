@@ -100,7 +100,7 @@ class SimNode(Node):
 
     def _add_features(self, context: NodeContext) -> None:
         """Create the features, in the order in which they publish a state."""
-        world, task = context.composition.world, None
+        task = None
         restart: Callable[[int | None], None] = self.simulation.reset
         if context.composition.task is not None:
             task = self._add(TaskPublisher(context, context.composition.task))
@@ -109,7 +109,7 @@ class SimNode(Node):
         self._add(robot_states(context))
         self.commands = self._add(RobotCommands(context))
         self._add(OfferedSensors(context))
-        self._add(ModelPublisher(context, world))
+        self._add(ModelPublisher(context))
         self._add(object_states(context))
         self.surroundings = self._add(SurroundingsCommands(context))
         instruments = self._add(InstrumentPublishers(context))
@@ -117,11 +117,11 @@ class SimNode(Node):
         self._add(SceneTopics(context, odometry.placed))
         if self.declared.value('publish_clock'):
             self._add(clock(context))
-        self._add(DescriptionPublisher(context, world, instruments))
+        self._add(DescriptionPublisher(context, instruments))
         dynamics = self._add(DynamicsPublisher(context))
         self._add(EpisodePublisher(context, restart, dynamics.publish))
-        self.cameras = self._add(Cameras(context, context.composition.cameras))
-        for lidar in world.lidars:
+        self.cameras = self._add(Cameras(context))
+        for lidar in context.composition.world.lidars:
             self._add(lidar_scans(context, lidar))
         self.actions = offer_actions(context, self.commands)
         if self.actions is not None:

@@ -43,103 +43,40 @@ from manip_sim.simulation.robot_spawning import (
 #: Before a word within a name such as ``GetEntities``.
 _CAPITAL = re.compile('(?<!^)(?=[A-Z])')
 
-
-class ResultCode(IntEnum):
-    """Constants of the message ``Result``."""
-
-    RESULT_FEATURE_UNSUPPORTED = 0
-    RESULT_OK = 1
-    RESULT_NOT_FOUND = 2
-    RESULT_INCORRECT_STATE = 3
-    RESULT_OPERATION_FAILED = 4
-
-
-class SetStateCode(IntEnum):
-    """Constants of the response of ``SetSimulationState``."""
-
-    ALREADY_IN_TARGET_STATE = 101
-    STATE_TRANSITION_ERROR = 102
-
-
-class SetEntityCode(IntEnum):
-    """Constants of the response of ``SetEntityState``."""
-
-    INVALID_POSE = 101
-
-
-class SpawnCode(IntEnum):
-    """Constants of the response of ``SpawnEntity``."""
-
-    NAME_NOT_UNIQUE = 101
-    NAME_INVALID = 102
-    UNSUPPORTED_FORMAT = 103
-    NO_RESOURCE = 104
-    NAMESPACE_INVALID = 105
-    RESOURCE_PARSE_ERROR = 106
-    INVALID_POSE = 109
-
-
-class SpawnAllCode(IntEnum):
-    """Constants of the response of ``SpawnEntities``."""
-
-    ENTITIES_SPAWN_FAILED = 150
-
-
-class LoadCode(IntEnum):
-    """Constants of the response of ``LoadWorld``."""
-
-    UNSUPPORTED_FORMAT = 101
-    NO_RESOURCE = 102
-
-
-class WorldCode(IntEnum):
-    """Constants of the responses of ``GetCurrentWorld`` and ``UnloadWorld``."""
-
-    NO_WORLD_LOADED = 101
-
-
-class StateCode(IntEnum):
-    """Constants of the message ``SimulationState``."""
-
-    STATE_STOPPED = 0
-    STATE_PLAYING = 1
-    STATE_PAUSED = 2
-    STATE_NO_WORLD = 4
-
-
-class ScopeCode(IntEnum):
-    """Constants of the request of ``ResetSimulation``."""
-
-    SCOPE_DEFAULT = 0
-    SCOPE_TIME = 1
-    SCOPE_STATE = 2
-    SCOPE_ALL = 255
-
-
-class Category(IntEnum):
-    """Constants of the message ``EntityCategory``."""
-
-    CATEGORY_OBJECT = 0
-    CATEGORY_ROBOT = 1
-    CATEGORY_HUMAN = 2
-    CATEGORY_DYNAMIC_OBJECT = 4
-    CATEGORY_STATIC_OBJECT = 5
-
-
-class BoundsType(IntEnum):
-    """Constants of the message ``Bounds``."""
-
-    TYPE_EMPTY = 0
-    TYPE_BOX = 1
-    TYPE_CONVEX_HULL = 2
-    TYPE_SPHERE = 3
-
-
-class TagsMode(IntEnum):
-    """Constants of the message ``TagsFilter``."""
-
-    FILTER_MODE_ANY = 0
-    FILTER_MODE_ALL = 1
+#: Constants of the message ``Result``.
+ResultCode = IntEnum('ResultCode', {
+    'RESULT_FEATURE_UNSUPPORTED': 0, 'RESULT_OK': 1, 'RESULT_NOT_FOUND': 2,
+    'RESULT_INCORRECT_STATE': 3, 'RESULT_OPERATION_FAILED': 4})
+#: Constants of the response of ``SetSimulationState``.
+SetStateCode = IntEnum('SetStateCode', {
+    'ALREADY_IN_TARGET_STATE': 101, 'STATE_TRANSITION_ERROR': 102})
+#: Constants of the response of ``SetEntityState``.
+SetEntityCode = IntEnum('SetEntityCode', {'INVALID_POSE': 101})
+#: Constants of the response of ``SpawnEntity``.
+SpawnCode = IntEnum('SpawnCode', {
+    'NAME_NOT_UNIQUE': 101, 'NAME_INVALID': 102, 'UNSUPPORTED_FORMAT': 103, 'NO_RESOURCE': 104,
+    'NAMESPACE_INVALID': 105, 'RESOURCE_PARSE_ERROR': 106, 'INVALID_POSE': 109})
+#: Constants of the response of ``SpawnEntities``.
+SpawnAllCode = IntEnum('SpawnAllCode', {'ENTITIES_SPAWN_FAILED': 150})
+#: Constants of the response of ``LoadWorld``.
+LoadCode = IntEnum('LoadCode', {'UNSUPPORTED_FORMAT': 101, 'NO_RESOURCE': 102})
+#: Constants of the responses of ``GetCurrentWorld`` and ``UnloadWorld``.
+WorldCode = IntEnum('WorldCode', {'NO_WORLD_LOADED': 101})
+#: Constants of the message ``SimulationState``.
+StateCode = IntEnum('StateCode', {
+    'STATE_STOPPED': 0, 'STATE_PLAYING': 1, 'STATE_PAUSED': 2, 'STATE_NO_WORLD': 4})
+#: Constants of the request of ``ResetSimulation``.
+ScopeCode = IntEnum('ScopeCode', {
+    'SCOPE_DEFAULT': 0, 'SCOPE_TIME': 1, 'SCOPE_STATE': 2, 'SCOPE_ALL': 255})
+#: Constants of the message ``EntityCategory``.
+Category = IntEnum('Category', {
+    'CATEGORY_OBJECT': 0, 'CATEGORY_ROBOT': 1, 'CATEGORY_HUMAN': 2,
+    'CATEGORY_DYNAMIC_OBJECT': 4, 'CATEGORY_STATIC_OBJECT': 5})
+#: Constants of the message ``Bounds``.
+BoundsType = IntEnum('BoundsType', {
+    'TYPE_EMPTY': 0, 'TYPE_BOX': 1, 'TYPE_CONVEX_HULL': 2, 'TYPE_SPHERE': 3})
+#: Constants of the message ``TagsFilter``.
+TagsMode = IntEnum('TagsMode', {'FILTER_MODE_ANY': 0, 'FILTER_MODE_ALL': 1})
 
 
 class FeatureCode(IntEnum):

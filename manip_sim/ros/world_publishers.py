@@ -72,15 +72,11 @@ class DescriptionPublisher(Feature):
     A ``<ros2_control>`` tag for the present control modes names the topics as they are called
     after remapping.
 
-    :param world: the world of the robots, as it is at the start
     :param instruments: that its sensors are
     """
 
-    def __init__(self, context: NodeContext, world: World, instruments: InstrumentPublishers
-                 ) -> None:
-        self._context = context
-        self._world = world
-        self._instruments = instruments
+    def __init__(self, context: NodeContext, instruments: InstrumentPublishers) -> None:
+        self._context, self._instruments = context, instruments
         self._simulation = context.simulation
         self._has_tag = context.parameters.value('ros2_control_tag')
         self._robots: dict[Scope, SimulatedRobot] = {}
@@ -107,7 +103,7 @@ class DescriptionPublisher(Feature):
 
         :raises ModelError: if the world does not compile
         """
-        self._publish(self._world, self._robots)
+        self._publish(self._context.composition.world, self._robots)
 
     def robot_added(self, scope: Scope, robot: SimulatedRobot) -> None:
         self._add(scope, robot)
@@ -133,14 +129,12 @@ class ModelPublisher(Feature):
 
     ``~/mjcf`` is its MJCF, ``~/mjcf_archive`` a zip archive of the MJCF and of the files, such as
     meshes, that it refers to.
-
-    :param world: as it is at the start
     """
 
-    def __init__(self, context: NodeContext, world: World) -> None:
+    def __init__(self, context: NodeContext) -> None:
         self._mjcf = create_publisher(context, BY_NAME['~/mjcf'])
         self._archive = create_publisher(context, BY_NAME['~/mjcf_archive'])
-        self._simulation, self._world = context.simulation, world
+        self._simulation, self._world = context.simulation, context.composition.world
 
     def started(self) -> None:
         self._publish(self._world)

@@ -329,10 +329,8 @@ class GripperGoal(ActionGoal):
     def _look(self, simulation: Simulation) -> None:
         joint, time_ns = simulation.data.joint(self._joint), simulation.time_ns
         position = float(joint.qpos[0])
-        if not self._gripper.joints.are_still(simulation.data):
-            self._still_since_ns = None
-        elif self._still_since_ns is None:
-            self._still_since_ns = time_ns
+        self._still_since_ns = _since(
+            self._still_since_ns, self._gripper.joints.are_still(simulation.data), time_ns)
         status = self.command.handle.status
         reached = status is not Status.WAITING and abs(position - self._position) < self._near
         stalled = (not reached and status is Status.DONE
@@ -378,10 +376,7 @@ class SuctionGoal(ActionGoal):
         begun = self.command.handle.status is not Status.WAITING
         vacuum = cups.vacuum(data)
         leaks = begun and bool(self._goal.any()) and min(cups.held(data)) < 0
-        if not leaks:
-            self._leaks_since_ns = None
-        elif self._leaks_since_ns is None:
-            self._leaks_since_ns = time_ns
+        self._leaks_since_ns = _since(self._leaks_since_ns, leaks, time_ns)
         near = np.abs(vacuum - self._goal) <= _VACUUM_REACHED * cups.full
         self.view = GripperView(
             time_ns, self._name, float((vacuum / cups.full).min()), 0.0,
@@ -394,6 +389,11 @@ class SuctionGoal(ActionGoal):
         elif self._leaks_since_ns is not None and (
                 simulation.time_ns - self._leaks_since_ns >= _LEAKS_NS):
             self.abort('the cup does not seal: part of its lip touches nothing')
+
+
+def _since(since_ns: int | None, holds: bool, now_ns: int) -> int | None:
+    """Return since when a condition has held without a break, or None."""
+    return None if not holds else now_ns if since_ns is None else since_ns
 
 
 def gripper_goal(robot: SimulatedRobot, part: str, request: GripperRequest) -> ActionGoal:

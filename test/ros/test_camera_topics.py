@@ -339,7 +339,8 @@ def test_rate_and_cost_are_those_of_the_measured_images_since_the_last_look():
     def shot(exact, took_s):
         return SimpleNamespace(view=SimpleNamespace(camera='front', exact=exact), took_s=took_s)
     cameras = Cameras(SimpleNamespace(
-        simulation=SimpleNamespace(model=None), thread=SimpleNamespace(period_s=0.01)), {})
+        simulation=SimpleNamespace(model=None), thread=SimpleNamespace(period_s=0.01),
+        composition=SimpleNamespace(cameras={})))
     cameras.names.append('front')
     cameras._publishers['front'] = SimpleNamespace(publish=lambda shot: None)
     for _ in range(5):

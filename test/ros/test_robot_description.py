@@ -174,10 +174,11 @@ def test_what_a_urdf_leaves_out_is_said_with_the_name_of_the_robot(scope, note, 
         'robot0': SimpleNamespace(xml='<robot/>', notes=['no a', 'no b'])})
     published, notes = [], []
     context = SimpleNamespace(
-        notes=notes, simulation=None, robots={Scope(scope): SimpleNamespace(name='robot0')},
+        notes=notes, simulation=None, composition=SimpleNamespace(world=None),
+        robots={Scope(scope): SimpleNamespace(name='robot0')},
         parameters=SimpleNamespace(value=lambda name: False),
         node=SimpleNamespace(create_publisher=lambda kind, topic, qos: SimpleNamespace(
             publish=lambda message: published.append((topic, message.data)))))
-    world_publishers.DescriptionPublisher(context, None, None).started()
+    world_publishers.DescriptionPublisher(context, None).started()
     assert notes == [note]
     assert published == [(f'{scope}/robot_description'.lstrip('/'), '<robot/>')]
