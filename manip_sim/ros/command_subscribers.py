@@ -418,7 +418,7 @@ class SurroundingsCommands(Feature):
 
     def _target(self, name: str, message: PoseStamped) -> None:
         self._check_frame(message.header.frame_id)
-        pose = Pose.checked(*map(messages.numbers_of, (
+        pose = Pose.checked(*map(numbers_of, (
             message.pose.position, message.pose.orientation)))
         self._changes.at_next_period(f'objects/{name}', 'target', name,
                                      pose.position.tolist(), pose.quat_xyzw.tolist())
@@ -435,7 +435,7 @@ class SurroundingsCommands(Feature):
             raise CommandError('pull: expected an ARROW to ADD, with two points and no pose, or '
                                f'to DELETE, got action {message.action}, type {message.type} and '
                                f'{pluralize(len(message.points), "point")}')
-        point, target = map(messages.numbers_of, message.points)
+        point, target = map(numbers_of, message.points)
         pulls.check(message.ns, point, target)
         self._changes.at_next_period(
             key, 'pull', message.ns, point, target, message.id)
