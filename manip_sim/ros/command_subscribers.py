@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -170,26 +170,18 @@ class CommandSubscribers:
         self.statistics = {entry: CommandStatistics() for entry in self._entry_of.values()}
         self.statistics['joint_command'] = CommandStatistics()
         parse, cartesian = robot.parse, robot.parse_cartesian
-        self._subscribe_to({
+        #: Convert a message for a part to commands, by their names in the table.
+        parsers: dict[str, Parser] = {
             'action': lambda part, message: [parse.action(part, message.data)],
             'joint_command': self._joint_command, 'impedance': self._impedance,
             'trajectory': self._trajectory, 'base_twist': self._twist,
-            'stamped_base_twist': lambda part, message: self._twist(part, message.twist)})
-        self._subscribe_to({
+            'stamped_base_twist': lambda part, message: self._twist(part, message.twist),
             'target_pose': self._in_frame(cartesian.pose, 'pose.position', 'pose.orientation'),
             'target_twist': self._in_frame(cartesian.twist, 'twist.linear', 'twist.angular'),
             'target_wrench': self._in_frame(cartesian.wrench, 'wrench.force', 'wrench.torque'),
             'force_mode': self._force_mode, 'until_contact': self._until_contact,
-            'pose_command': lambda arm, message: [cartesian.action(arm, message.data)]})
-
-    def _subscribe_to(self, parsers: Mapping[str, Parser]) -> None:
-        """
-        Subscribe to the topics of the robot whose commands some functions can parse.
-
-        :param parsers: convert a message for a part to commands, by their names in the table
-        """
-        twist = self.robot.joints.twist_indices is not None
-        for row in topics_of(self.robot.parts, twist):
+            'pose_command': lambda arm, message: [cartesian.action(arm, message.data)]}
+        for row in topics_of(robot.parts, robot.joints.twist_indices is not None):
             if row.direction == SUBSCRIBED and row.by in parsers:
                 self._subscribe(row, partial(parsers[row.by], row.of))
 

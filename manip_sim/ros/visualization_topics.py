@@ -32,7 +32,7 @@ from manip_sim.physics.entities import read_contacts
 from manip_sim.physics.parts import EndEffectorReader
 from manip_sim.physics.robot_frames import FrameTree, OdometryReader, TreeFrame
 from manip_sim.ros.channel_publishers import ChannelPublishers
-from manip_sim.ros.feature import create_output, Feature, NodeContext, Output
+from manip_sim.ros.feature import create_output, Feature, NodeContext
 from manip_sim.ros.messages import filled, import_optional, SerializedMessage, stamp_of, WORLD
 from manip_sim.sensing.instruments import instrument_sites
 from manip_sim.simulation import SimulatedRobot, Simulation
@@ -147,25 +147,6 @@ def _markers(frame: str, points: int, arrows: Sequence[_Arrows], stamp: Time, nu
 TFMessage: Any = getattr(import_optional('tf2_msgs.msg'), 'TFMessage', None)
 
 
-def offer_transforms(context: NodeContext, frames: Callable[[Simulation], FrameTree]
-                     ) -> TransformPublisher | None:
-    """
-    Create the publisher of ``/tf`` and ``/tf_static``; note if ``tf2_msgs`` is missing.
-
-    :param frames: returns the tree of a simulation
-    :returns: None without ``tf2_msgs``
-    """
-    if TFMessage is None:
-        context.missing['tf2_msgs'] = '/tf and /tf_static'
-        return None
-    return TransformPublisher(context, frames)
-
-
-def create_outputs(context: NodeContext) -> tuple[Output, Output]:
-    return (create_output(context, BY_NAME['/tf'], TFMessage),
-            create_output(context, BY_NAME['/tf_static'], TFMessage))
-
-
 class TransformPublisher:
     """
     A publisher of the transforms of frames; frames may come and go with objects.
@@ -174,7 +155,8 @@ class TransformPublisher:
     """
 
     def __init__(self, context: NodeContext, frames: Callable[[Simulation], FrameTree]) -> None:
-        self._moving, self._static = create_outputs(context)
+        self._moving, self._static = (
+            create_output(context, BY_NAME[name], TFMessage) for name in ('/tf', '/tf_static'))
         self._frames, self._prefix = frames, context.frame_prefix
         self._present: tuple[FrameTree, SerializedMessage] | None = None
 
@@ -293,8 +275,13 @@ class SceneTopics(Feature):
         self._end_effectors: dict[str, EndEffectorReader] = {}
         self._placed = placed
         self._scenes: dict[Scope, PlanningScenePublisher] = {}
-        every = _divider(context, value('publish_rate'), value('tf_rate'))
-        self._scene_every = periods_per_message(value('publish_rate'), RATE_HZ)
+        publish_rate, tf_rate = value('publish_rate'), value('tf_rate')
+        every = periods_per_message(publish_rate, tf_rate)
+        if abs(publish_rate / every - tf_rate) > 1e-6 * tf_rate:
+            context.notes.append(
+                f'tf_rate: {tf_rate:g} Hz is not publish_rate, {publish_rate:g} Hz, divided by a '
+                f'whole number; /tf and ~/markers come with {publish_rate / every:g} Hz')
+        self._scene_every = periods_per_message(publish_rate, RATE_HZ)
         if not PLANS:
             context.missing['moveit_msgs'] = 'planning scene for MoveIt'
         for scope, robot in context.robots.items():
@@ -302,9 +289,10 @@ class SceneTopics(Feature):
         markers = MarkerPublisher(context, self._end_effectors)
         self._thread.observe(markers.publish, every, markers.look)
         self._transforms: TransformPublisher | None = None
-        if value('publish_tf'):
-            self._transforms = offer_transforms(context, self._frames)
-        if self._transforms is not None:
+        if value('publish_tf') and TFMessage is None:
+            context.missing['tf2_msgs'] = '/tf and /tf_static'
+        elif value('publish_tf'):
+            self._transforms = TransformPublisher(context, self._frames)
             self._transforms.follow(context.simulation)
             self._thread.observe(self._transforms.publish, every, self._transforms.look)
 
@@ -336,16 +324,6 @@ class SceneTopics(Feature):
     def world_changed(self) -> None:
         if self._transforms is not None:
             self._transforms.follow(self._context.simulation)
-
-
-def _divider(context: NodeContext, publish_rate: float, tf_rate: float) -> int:
-    every = periods_per_message(publish_rate, tf_rate)
-    rate = publish_rate / every
-    if abs(rate - tf_rate) > 1e-6 * tf_rate:
-        context.notes.append(
-            f'tf_rate: {tf_rate:g} Hz is not publish_rate, {publish_rate:g} Hz, divided by a '
-            f'whole number; /tf and ~/markers come with {rate:g} Hz')
-    return every
 
 
 moveit_msgs: Any = import_optional('moveit_msgs.msg')
@@ -403,7 +381,8 @@ class PlanningScenePublisher:
         """Publish the changes, or the whole world to a new subscriber."""
         stamp, scene = stamp_of(simulation.time_ns), self._scene
         if scene is None or simulation.model is not self._model:
-            self._release(stamp)
+            for name in () if scene is None else scene.holds:
+                self._detach(name, stamp)  # Held objects may have been deleted.
             scene = self._scene_of(simulation)
         changes = scene.look(simulation.data)
         attached: Mapping[str, HeldObject] = changes.attached
@@ -432,11 +411,6 @@ class PlanningScenePublisher:
                            f'{", ".join(scene.left_out)}: MoveIt has no such shape')
         self._model, self._scene, self._whole_in = simulation.model, scene, _AGAIN
         return scene
-
-    def _release(self, stamp: Any) -> None:
-        """Detach everything: held objects may have been deleted."""
-        for name in self._scene.holds if self._scene is not None else ():
-            self._detach(name, stamp)
 
     def _detach(self, name: str, stamp: Any) -> None:
         message = moveit_msgs.AttachedCollisionObject()

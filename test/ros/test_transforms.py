@@ -64,7 +64,9 @@ def records(monkeypatch):
         return SerializedMessage(make, count)
     monkeypatch.setattr(visualization_topics, 'SerializedMessage', serialized)
     monkeypatch.setattr(visualization_topics, 'TFMessage', PlainMessage)
-    monkeypatch.setattr(visualization_topics, 'create_outputs', lambda node: found)
+    create, outputs = visualization_topics.create_output, dict(zip(('/tf', '/tf_static'), found))
+    monkeypatch.setattr(visualization_topics, 'create_output', lambda context, row, *others: (
+        outputs.get(row.name) or create(context, row, *others)))
     return found
 
 
