@@ -17,12 +17,9 @@ import textwrap
 from typing import Any, NoReturn
 
 from manip_sim.cli.offered_verbs import GROUP, OfferedVerb
-from manip_sim.cli.options import assignment, COMMANDS, count, image_size, positive, whole
-from manip_sim.cli.output import number
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.resources import offers, package_version
 from manip_sim.ros_environment import check_ros_environment, missing_module
-from manip_sim.viewer.discovery import numbers
 
 #: The least and the greatest edge of a picture [pixels].
 SMALLEST, LARGEST = 16, 8192

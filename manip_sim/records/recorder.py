@@ -34,8 +34,6 @@ from manip_sim.errors import ManipSimError, RecordError
 from manip_sim.frame_names import FrameNames, OPTICAL
 from manip_sim.interface.offered_sensors import offered_topics
 from manip_sim.interface.topics import BY_NAME, Scope, topics_of_world
-from manip_sim.records.record_file import (
-    definition, encoded, encoder, full_name, new_message, RecordFile)
 from manip_sim.resources import package_version
 from manip_sim.simulation import Simulation
 from manip_sim.tasks import Episode

@@ -25,7 +25,7 @@ from manip_sim.errors import ManipSimError
 from manip_sim.frame_names import FrameNames
 from manip_sim.interface.parameters import periods_per_image
 from manip_sim.interface.topics import BY_NAME, Topic, truths
-from manip_sim.rendering.offscreen import (
+from manip_sim.rendering import (
     BACKGROUND, cannot_render, choose_gl, Intrinsics, intrinsics_of, OffscreenRenderer, Picture)
 from manip_sim.ros.feature import create_publisher, Feature, NodeContext, Output
 from manip_sim.ros.messages import message_of

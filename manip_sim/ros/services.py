@@ -30,7 +30,7 @@ from manip_sim.physics.payload import Payload
 from manip_sim.quoting import one_line, quoted
 from manip_sim.ros.executor import in_background
 from manip_sim.ros.feature import Feature, NodeContext
-from manip_sim.sensing.settings import QUANTITIES
+from manip_sim.sensing.sensor_noise import QUANTITIES
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.simulation.payload_estimation import PayloadEstimation
 

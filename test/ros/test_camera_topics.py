@@ -29,7 +29,6 @@ from manip_sim.errors import ManipSimError
 from manip_sim.physics.object_spawning import plan_without
 from manip_sim.rendering import OffscreenRenderer
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.ros.channel_publishers import Cameras
 from manip_sim.ros.feature import Output
 from manip_sim.sensing.images import ImageNoise
 
