@@ -44,7 +44,7 @@ COMMAND = (
     ('DDS', 'joint_command'), ('ros/command_inbox.py', 'waits, takes the bytes'),
     ('ros/messages.py', 'bounds, then reads the message'),
     ('ros/command_subscribers.py', 'names, stamps, counts'),
-    ('control/joint_command_parser.py', 'validates, clamps: a Command'),
+    ('control/command_parser.py', 'validates, clamps: a Command'),
     ('runtime/change_queue.py', 'until the next control period'),
     ('control/joint_controller.py', 'owns joints; setpoints'),
     ('control/servos.py', 'controls'),

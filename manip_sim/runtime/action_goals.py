@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
+from manip_sim.control.command_parser import check_names
 from manip_sim.control.commands import (
     Command, GripperGrasp, GripperSuction, JointTrajectory, Ledger, Status)
-from manip_sim.control.joint_command_parser import check_names
 from manip_sim.errors import CommandError, SimulationEnded
 from manip_sim.quoting import quoted
 from manip_sim.runtime.simulation_thread import SimulationThread

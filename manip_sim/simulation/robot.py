@@ -13,11 +13,10 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
 from manip_sim.control.cartesian.cartesian_commands import PoseAction
 from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.control.cartesian.kinematic_chains import find_chains, find_frames
-from manip_sim.control.command_parser import CommandParser
+from manip_sim.control.command_parser import CartesianParser, CommandParser
 from manip_sim.control.commands import (
     Command, CommandHandle, GripperAction, GripperCommand, JointSetpoint, JointTrajectory,
     NoCommand, Status, TrajectoryReference)

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from robot_kinds import KINDS as ROBOT_KINDS
 
-from manip_sim.control.cartesian.cartesian_command_parser import CartesianParser
-from manip_sim.control.command_parser import CommandParser
+from manip_sim.control.command_parser import CartesianParser, CommandParser
 from manip_sim.control.commands import Status
 from manip_sim.control.modes import MODES as CONTROL_MODES
 from manip_sim.errors import (
