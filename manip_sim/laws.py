@@ -3,6 +3,6 @@
 
 """Laws of your own, which move a part of a robot in each physics step."""
 
-from manip_sim.control.user_laws import law, Law, Laws, LAWS
+from manip_sim.control.modes import law, Law, Laws, LAWS
 
 __all__ = ['LAWS', 'Law', 'Laws', 'law']

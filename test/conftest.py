@@ -18,6 +18,7 @@ import sys
 
 from manip_sim.startup import use_one_blas_thread
 from manip_sim.testing.domains import reserve_domain
+
 if 'numpy' not in sys.modules:
     # As in the programs of the package: idle threads of workers and of what they start busy-wait,
     # which takes a fifth of the processor time of tests that compute.
@@ -28,7 +29,7 @@ import pytest
 from robot_kinds import KINDS
 from sampling import whole_robot
 
-from manip_sim.control.user_laws import LAWS
+from manip_sim.control.modes import LAWS
 from manip_sim.models.arenas.arena import ARENAS
 from manip_sim.models.bases import RethinkMount
 from manip_sim.models.bases.robot_base_model import BASES
@@ -41,6 +42,7 @@ from manip_sim.simulation import Simulation
 
 if importlib.util.find_spec('hypothesis'):
     from hypothesis import HealthCheck, settings
+
     # The same examples each time: a failure is that of the change that is tested.
     for profile, examples in (('repeatable', 100), ('fast', 20)):
         settings.register_profile(profile, derandomize=True, database=None, deadline=None,

@@ -26,10 +26,9 @@ from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
     TrajectoryReference, TrajectoryStop)
 from manip_sim.control.controlled_joints import ControlledJoints
-from manip_sim.control.modes import Arrival, ControlMode, MODES
+from manip_sim.control.modes import Arrival, ControlMode, Law, LAWS, MODES, PREFIX
 from manip_sim.control.seats import Seats, SeatState
-from manip_sim.control.trajectory_following import TrajectoryFollowing
-from manip_sim.control.user_laws import Law, LAWS, PREFIX
+from manip_sim.control.setpoints import TrajectoryFollowing
 from manip_sim.control.velocity_stream import BaseTwists
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError

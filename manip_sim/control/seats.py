@@ -19,8 +19,8 @@ import numpy as np
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.kinematic_chains import Arms, Payloads
 from manip_sim.control.law.joint_records import PLAIN
+from manip_sim.control.modes import COSTLY, FILLS, Law
 from manip_sim.control.servos import Servos
-from manip_sim.control.user_laws import COSTLY, FILLS, Law
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.physics.parts import EndEffectorReader

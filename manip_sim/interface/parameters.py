@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings, FRAMES
-from manip_sim.control.modes import default_mode, MODES
+from manip_sim.control.modes import default_mode, LAWS, MODES
 from manip_sim.control.reflexes import DEFAULT, OFF
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
-from manip_sim.control.user_laws import LAWS
 from manip_sim.errors import ParameterError
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.topics import Scope

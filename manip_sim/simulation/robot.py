@@ -24,10 +24,9 @@ from manip_sim.control.controlled_joints import ControllerState
 from manip_sim.control.delayed_commands import DelayedCommands
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.modes import MODES, POSITION
+from manip_sim.control.modes import Law, law_of, MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
 from manip_sim.control.seats import LawParameters
-from manip_sim.control.user_laws import Law, law_of
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.modes import Law, law_of
 from manip_sim.control.seats import LawParameters
-from manip_sim.control.user_laws import Law, law_of
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.physics.parts import EndEffector
 from manip_sim.physics.payload import Payload

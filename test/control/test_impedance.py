@@ -11,7 +11,7 @@ import pytest
 from springs import assert_swings, deflection
 
 from manip_sim.control.commands import JointImpedance, JointSetpoint, Status
-from manip_sim.control.user_laws import LAWS
+from manip_sim.control.modes import LAWS
 from manip_sim.errors import CommandError
 from manip_sim.laws import law
 from manip_sim.models import compose

@@ -14,8 +14,7 @@ from springs import assert_swings, deflection
 
 from manip_sim.control.commands import Status
 from manip_sim.control.modes import (
-    ControlMode, Effort, EFFORT, MODES, Modes, Position, POSITION, VELOCITY)
-from manip_sim.control.user_laws import LAWS
+    ControlMode, Effort, EFFORT, LAWS, MODES, Modes, Position, POSITION, VELOCITY)
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names

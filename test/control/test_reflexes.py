@@ -6,11 +6,10 @@
 import mujoco
 import numpy as np
 import pytest
-
 from sampling import Driven, sampled
 
 from manip_sim.control.commands import Status
-from manip_sim.control.user_laws import LAWS
+from manip_sim.control.modes import LAWS
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.laws import law
 from manip_sim.models import compose

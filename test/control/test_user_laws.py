@@ -18,8 +18,8 @@ from robot_kinds import KINDS
 
 from manip_sim.channels.kinds import controller_numbers
 from manip_sim.control.commands import Status
+from manip_sim.control.modes import ARGUMENTS, law_of, LAWS
 from manip_sim.control.seats import _EXIT_CODE
-from manip_sim.control.user_laws import ARGUMENTS, law_of, LAWS
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.laws import Law, law
 from manip_sim.models import compose_robot, World

@@ -14,7 +14,7 @@ import pytest
 from robot_kinds import KINDS
 
 from manip_sim.cli.main import main
-from manip_sim.control.user_laws import LAWS
+from manip_sim.control.modes import LAWS
 from manip_sim.interface.composition import compose_world
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.laws import law
