@@ -9,9 +9,11 @@ The newest command that has begun owns a joint, joint by joint, as the ledger no
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import compress
 import math
 from typing import ClassVar, NamedTuple, TypeVar
 
@@ -23,6 +25,7 @@ from manip_sim.control.trajectory import Trajectory
 from manip_sim.models.robots import RobotModel
 
 C = TypeVar('C', bound='Command')
+S = TypeVar('S', bound='JointSetpoint')
 #: Largest number of trajectories that wait for their start; clients may send any number.
 _MOST_WAITING = 1000
 #: Stamps are compared modulo this, so that seconds of any clock keep their nanoseconds [ns].
@@ -91,7 +94,7 @@ class Command:
 
     #: Times by clocks that a reset does not restart.
     undigested: ClassVar[tuple[str, ...]] = ('sent_ns', 'start_ns')
-    #: Shapes of arrays that compiled code reads.
+    #: Shapes of arrays that compiled code reads; where it ends in n, there is one for each joint.
     shapes: ClassVar[Mapping[str, tuple[str | int, ...]]] = {'indices': ('l', 'n')}
     #: True if it changes the way in which joints follow the command before: both take effect.
     adds: ClassVar[bool] = False
@@ -130,7 +133,10 @@ class Command:
         return self._only(np.array(kept)) if any(kept) else None
 
     def _only(self: C, kept: BoolArray) -> C:
-        return replace(self, indices=self.indices[kept])
+        """Return the command with some of its joints, shape of ``indices``."""
+        shapes = ChainMap(*[vars(kind).get('shapes', {}) for kind in type(self).__mro__])
+        return replace(self, **{name: getattr(self, name)[..., kept]
+                                for name, shape in shapes.items() if shape[-1] == 'n'})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,9 +158,9 @@ class JointSetpoint(Command):
         """The goals."""
         return self.values
 
-    def _only(self, kept: BoolArray) -> JointSetpoint:
-        modes = tuple(mode for mode, keep in zip(self.modes, kept) if keep)
-        return replace(self, indices=self.indices[kept], modes=modes, values=self.values[kept])
+    def _only(self: S, kept: BoolArray) -> S:
+        modes = tuple(compress(self.modes, kept))
+        return replace(super()._only(kept), modes=modes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,11 +196,6 @@ class JointImpedance(JointSetpoint):
             self, messages=older.messages + (0 if copied else self.messages),
             values=np.where(np.isnan(self.values), older.values, self.values),
             pulls=np.where(np.isnan(self.pulls), older.pulls, self.pulls))
-
-    def _only(self, kept: BoolArray) -> JointImpedance:
-        modes = tuple(mode for mode, keep in zip(self.modes, kept) if keep)
-        return replace(self, indices=self.indices[kept], modes=modes, values=self.values[kept],
-                       pulls=self.pulls[:, kept])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -269,9 +270,6 @@ class JointTrajectory(Command):
             handle=self.handle, modes=modes,
             values=self.trajectory.positions[-1, self.columns])
 
-    def _only(self, kept: BoolArray) -> JointTrajectory:
-        return replace(self, indices=self.indices[kept], columns=self.columns[kept])
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrajectoryStop(Command):
@@ -293,9 +291,6 @@ class BaseTwist(Command):
     twist: FloatArray
     joints: IntArray
     columns: IntArray
-
-    def _only(self, kept: BoolArray) -> BaseTwist:
-        return replace(self, indices=self.indices[kept], columns=self.columns[kept])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -376,7 +371,11 @@ class Ledger:
     @property
     def trajectories(self) -> list[JointTrajectory]:
         """All trajectories, including those that start later."""
-        return [*self.waiting, *(c for c in self.running if isinstance(c, JointTrajectory))]
+        return [*self.waiting, *self.of(JointTrajectory)]
+
+    def of(self, kind: type[C]) -> list[C]:
+        """Return the commands of a kind that run."""
+        return [command for command in self.running if isinstance(command, kind)]
 
     def take(self, command: Command, indices: IntArray | None = None) -> None:
         """
@@ -445,8 +444,8 @@ class Ledger:
     def stop(self, stop: TrajectoryStop) -> IntArray:
         """Take joints from all trajectories, and return those that followed one."""
         self.waiting = list(_without(self.waiting, stop.indices, *STOPPED))
-        followed = [np.intersect1d(stop.indices, command.indices) for command in self.running
-                    if isinstance(command, JointTrajectory)]
+        followed = [np.intersect1d(stop.indices, command.indices)
+                    for command in self.of(JointTrajectory)]
         stopped = np.concatenate([np.empty(0, dtype=np.int64), *followed])
         self.release(stopped, *STOPPED)
         self._own(stop.indices, CommandHandle(Status.ABORTED, STOPPED[1]))

@@ -21,7 +21,7 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianWrench, GuardedTwist)
 from manip_sim.control.cartesian.controller import CartesianController
-from manip_sim.control.cartesian.kinematic_chains import KinematicChain, Payloads
+from manip_sim.control.cartesian.kinematic_chains import Arms, KinematicChain, Payloads
 from manip_sim.control.commands import (
     BaseTwist, Command, CommandHandle, JointImpedance, JointSetpoint, JointTrajectory, Status,
     TrajectoryReference, TrajectoryStop)
@@ -149,13 +149,13 @@ class JointController(ControlledJoints):
                  gains_are_highest: bool = False,
                  end_effectors: Mapping[str, EndEffectorReader] | None = None) -> None:
         super().__init__(physics, parts, atomic, gains_are_highest)
-        self._physics = physics
+        self._physics, self._arms = physics, Arms(physics, self.servos)
         self.seats = Seats(physics, self.servos, self._indices_of, {
             part: reader for arm, reader in (end_effectors or {}).items() if arm in parts
-            for part in parts[arm].atomic if len(parts[arm].atomic) == 1})
+            for part in parts[arm].atomic if len(parts[arm].atomic) == 1}, self._arms)
         self.cartesian = CartesianController(
             physics, chains or {}, self.names, self.servos, self.setpoints,
-            end_effectors or {}, self.seats)
+            end_effectors or {}, self.seats, self._arms)
         self._everything = np.arange(len(self.names))
         self._derived = Derived()
         self.command_timeouts = CommandTimeouts(atomic)
@@ -172,16 +172,13 @@ class JointController(ControlledJoints):
     def refresh_joint_parameters(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
         self.servos.refresh_joint_parameters()
-        self.cartesian.refresh_joint_parameters()
+        self._arms.refresh_joint_parameters()
 
     @property
     def payloads(self) -> Payloads:
         """The payloads of the arms."""
-        found: Payloads | None = self._derived.of.get('payloads')
-        if found is None:
-            found = self._derived.of['payloads'] = Payloads(
-                self._physics, self.servos, self.cartesian.readers)
-        return found
+        return self._derived.made_of(
+            Payloads, self._physics, self.servos, self.cartesian.readers)
 
     @property
     def acts(self) -> bool:
@@ -200,7 +197,7 @@ class JointController(ControlledJoints):
     @property
     def moving(self) -> bool:
         """True if setpoints change, or may change, in the next interval, or a law acts."""
-        self.servos.interrupt()
+        self._physics.interrupt()
         if (self.seats.of or self.setpoints.moving or self._efforts_due or self.commands.waiting
                 or self.acts):
             return True
@@ -227,7 +224,7 @@ class JointController(ControlledJoints):
     @property
     def resting(self) -> bool:
         """True if control has nothing to do."""
-        self.servos.interrupt()
+        self._physics.interrupt()
         return not (self.setpoints.moving or self._written or self.commands.running
                     or self.commands.waiting or self.command_timeouts.pending or self.seats.of
                     or self.acts)
@@ -235,13 +232,10 @@ class JointController(ControlledJoints):
     @property
     def busy_parts(self) -> frozenset[str]:
         """The atomic parts with a motion that has an end: a trajectory, or one until contact."""
+        # After a motion until contact has ended, the arm stays there.
+        guarded = [c for c in self.commands.of(GuardedTwist) if c.handle.is_active]
         return frozenset().union(*(self.parts_of(command.indices) for command in (
-            *self.commands.trajectories, *(c for c in self._guarded if c.handle.is_active))))
-
-    @property
-    def _guarded(self) -> list[GuardedTwist]:
-        """Motions until contact, and those that have ended, where the arm stays."""
-        return [c for c in self.commands.running if isinstance(c, GuardedTwist)]
+            *self.commands.trajectories, *guarded)))
 
     # ------------------------------------------------------------------ commands
 
@@ -453,8 +447,7 @@ class JointController(ControlledJoints):
         elif isinstance(meant, CartesianWrench):
             self._push(meant, data, now_s)
         else:
-            drives = isinstance(meant, BaseTwist) and any(
-                [isinstance(c, BaseTwist) for c in self.commands.running])
+            drives = isinstance(meant, BaseTwist) and bool(self.commands.of(BaseTwist))
             goes_on = isinstance(meant, CartesianCommand) and self._has_target(meant.arm)
             self.commands.take(meant)
             self.commands.begin(meant)
@@ -607,19 +600,20 @@ class JointController(ControlledJoints):
                     and self.setpoints.at_rest(command.indices)):
                 self.commands.running.remove(command)
         for part in self.command_timeouts.overdue(now_s):
-            if part not in self.busy_parts and (part in self._targets_end
-                                                or part not in self._target_parts()):
-                if any([part in self.parts_of(c.indices) for c in self._guarded]):
-                    self.command_timeouts.forget([part])  # Its motion came to its own end.
-                else:
-                    self._time_out(part, data, now_s, period_s)
+            has_target = any([part in c.parts for c in self.cartesian_commands])
+            if part in self.busy_parts or has_target and part not in self._targets_end:
+                continue
+            if any([part in self.parts_of(c.indices) for c in self.commands.of(GuardedTwist)]):
+                self.command_timeouts.forget([part])  # Its motion came to its own end.
+            else:
+                self._time_out(part, data, now_s, period_s)
 
     def _finish(self, command: Command, data: mujoco.MjData, goal: FloatArray) -> None:
         self.commands.finish(command, goal - data.qpos[self.servos.qpos[command.indices]])
 
     def _time_out(self, part: str, data: mujoco.MjData, now_s: float, period_s: float) -> None:
         indices = self.indices_of(part)
-        twists = [c for c in self.commands.running if isinstance(c, BaseTwist) and part in c.parts]
+        twists = [c for c in self.commands.of(BaseTwist) if part in c.parts]
         self.command_timeouts.count(part)
         self.commands.release(indices, Status.ABORTED, 'no fresh command came in time')
         # Joints of a law follow no setpoints, but the law gets them.
@@ -650,7 +644,7 @@ class JointController(ControlledJoints):
     @property
     def cartesian_commands(self) -> list[CartesianCommand]:
         """The commands for end effectors that run."""
-        return [c for c in self.commands.running if isinstance(c, CartesianCommand)]
+        return self.commands.of(CartesianCommand)
 
     def start_trajectories(self, now_s: float, duration_s: float) -> None:
         """
@@ -670,20 +664,14 @@ class JointController(ControlledJoints):
 
         :param now_s: simulation time since the last reset [s]
         """
-        for command in [c for c in self.commands.running if isinstance(c, JointTrajectory)]:
+        for command in self.commands.of(JointTrajectory):
             position = self.trajectories.end(command, now_s)
             if position is not None:
                 self._finish(command, data, position)
                 # Setpoints may still have a velocity there, or have been held back on the way.
                 self.setpoints.come_back(command.indices, position)
-                self.command_timeouts.forget(command.parts - self._commanded_parts())
-
-    def _target_parts(self) -> frozenset[str]:
-        return frozenset().union(*(
-            c.parts for c in self.commands.running if isinstance(c, CartesianCommand)))
-
-    def _commanded_parts(self) -> frozenset[str]:
-        return frozenset().union(*(self.parts_of(c.indices) for c in self.commands.running))
+                self.command_timeouts.forget(command.parts.difference(
+                    *(self.parts_of(c.indices) for c in self.commands.running)))
 
 
 def _of_other_modes(indices: IntArray, modes: tuple[str, ...], present: tuple[str, ...]

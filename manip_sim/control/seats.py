@@ -187,20 +187,18 @@ class Seats:
     :param servos: of all driven joints
     :param indices: of the joints, by part
     :param tips: readers of end effectors, by the part that ends in each
+    :param arms: joints of parts as the law reads them
     :ivar of: the laws in the seats, by part
     """
 
     remembered = ('of',)
 
     def __init__(self, physics: Physics, servos: Servos, indices: Mapping[str, IntArray],
-                 tips: Mapping[str, EndEffectorReader]) -> None:
+                 tips: Mapping[str, EndEffectorReader], arms: Arms) -> None:
         self._physics, self._servos, self._indices, self._tips = physics, servos, indices, tips
         self.of: dict[str, SeatState] = {}
-        self._arms, self._derived = Arms(physics, servos), Derived()
-        physics.on_change(self._rebind)
-
-    def _rebind(self) -> None:
-        self._derived.of.clear()
+        self._arms, self._derived = arms, Derived()
+        physics.on_change(self._derived.clear)
 
     @property
     def runs_python(self) -> bool:

@@ -362,10 +362,6 @@ class Servos:
         data.act[self._activation] = position * self._gear
         data.ctrl[self._ids] = 0.0
 
-    def interrupt(self) -> None:
-        """Take over what compiled code has done by itself, as :meth:`Physics.interrupt` does."""
-        self._physics.interrupt()
-
     @property
     def step_s(self) -> float:
         """Length of a physics step [s]."""
@@ -404,11 +400,7 @@ class Servos:
     @property
     def places(self) -> IntArray:
         """Indices of the inertia of the joints in ``M``, -1 where it is zero, shape (n, n)."""
-        places: IntArray | None = self._derived.of.get('places')
-        if places is None:
-            places = self._derived.of['places'] = places_of_inertia(
-                self._physics.model, self.dofs)
-        return places
+        return self._derived.made_of(places_of_inertia, self._physics.model, self.dofs)
 
 
 def _checked(gains: tuple[ArrayLike, ArrayLike], count: int) -> tuple[FloatArray, FloatArray]:

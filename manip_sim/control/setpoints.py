@@ -145,11 +145,6 @@ class SetpointGenerator:
         return not self.moving or not (len(indices) and self._state.item(
             (indices.item(0), _MOVES)) or np.count_nonzero(self._state[indices, _MOVES]))
 
-    @property
-    def settled(self) -> bool:
-        """True if :meth:`advance` has nothing to do."""
-        return not (self.moving or np.count_nonzero(self._numbers_of('held')))
-
     def resume(self) -> None:
         """Resume setpoints that were held back after they had come to rest."""
         joints = self.joints
@@ -179,21 +174,6 @@ class SetpointGenerator:
         """
         from manip_sim.control.law.setpoint_changes import set_velocity  # It imports numba.
         set_velocity(self.joints, np.array(indices), _numbers(velocity))
-        self.moving = True
-
-    def ramp_to(self, indices: IntArray, velocity: FloatArray, duration_s: float,
-                limit: FloatArray | None = None) -> None:
-        """
-        Let setpoints come to a velocity in a time, or later at the acceleration limit.
-
-        :param velocity: [rad/s or m/s], shape of ``indices``
-        :param duration_s: the time [s]
-        :param limit: of the acceleration, if it is not that of the joints
-            [rad/s^2 or m/s^2], shape of ``indices``
-        """
-        from manip_sim.control.law.setpoint_changes import ramp_to  # It imports numba.
-        ramp_to(self.joints, np.array(indices), _numbers(velocity), float(duration_s),
-                _numbers(() if limit is None else limit))
         self.moving = True
 
     def brake(self, indices: IntArray) -> None:
@@ -277,7 +257,7 @@ class SetpointGenerator:
 
         :param duration_s: length of the interval [s]
         """
-        if not self.settled:
+        if self.moving or np.count_nonzero(self._numbers_of('held')):
             from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
             self.moving = advance(self.joints, self.counts, self.now_s, duration_s)
         self.now_s += duration_s
@@ -420,7 +400,7 @@ class TrajectoryFollowing:
         self.forget()
 
     def _leads(self) -> bool:
-        return any([isinstance(command, JointTrajectory) for command in self._commands.running])
+        return bool(self._commands.of(JointTrajectory))
 
     def forget(self) -> None:
         """Let the next points be no part of a stream, at the start of an episode."""
@@ -521,8 +501,8 @@ class TrajectoryFollowing:
 
         :param now_s: simulation time since the last reset [s]
         """
-        for command in self._commands.running:
-            if command.handle is handle and isinstance(command, JointTrajectory):
+        for command in self._commands.of(JointTrajectory):
+            if command.handle is handle:
                 position, velocity, acceleration = self.clock.motion(command, now_s)
                 since_s = float(self.clock.at(now_s)) - (command.start_s or 0.0)
                 return TrajectoryReference(position, velocity, acceleration,

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import math
 from typing import Any
 
@@ -21,22 +21,19 @@ from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.derived import Derived
 
 
-class VelocityStream:
+class Stream:
     """
-    The velocities of a stream, such as twists of an end effector or a base, all in one frame.
+    The messages of a stream of some coordinates, and the motion that they ask for.
 
-    The velocity ramps from message to message within one message interval, so that nothing jerks
-    where control periods are shorter. The first one is reached within a control period.
-
-    :param jump: acceleration that the stream itself has not [1/s^2], shape (n,)
+    :param limit: of accelerations [1/s^2], shape (n,)
     """
 
     #: Of arrays that compiled code reads.
-    shapes = {'_state': ('d', 'n', len(FIELDS)), '_motion': ('d', 'n', len(MOTION_FIELDS))}
+    shapes: Mapping[str, tuple[str | int, ...]] = {
+        '_state': ('d', 'n', len(FIELDS)), '_motion': ('d', 'n', len(MOTION_FIELDS))}
 
-    def __init__(self, jump: FloatArray) -> None:
-        self._state, self._motion = blank_state(jump), blank_motion(len(jump))
-        self._duration_s = 0.0
+    def __init__(self, limit: FloatArray) -> None:
+        self._state, self._motion = blank_state(limit), blank_motion(len(limit))
 
     def set(self, longest_s: float, hold_s: float) -> None:
         """
@@ -47,6 +44,26 @@ class VelocityStream:
         """
         joints = records(self._state)
         joints['longest'], joints['hold'] = longest_s, hold_s
+
+    @property
+    def motion(self) -> Any:
+        """The motion until the next message, records of ``MOTION``, shape (n,), a view."""
+        return records(self._motion, MOTION)
+
+
+class VelocityStream(Stream):
+    """
+    The velocities of a stream, such as twists of an end effector or a base, all in one frame.
+
+    The velocity ramps from message to message within one message interval, so that nothing jerks
+    where control periods are shorter. The first one is reached within a control period.
+
+    :param jump: acceleration that the stream itself has not [1/s^2], shape (n,)
+    """
+
+    def __init__(self, jump: FloatArray) -> None:
+        super().__init__(jump)
+        self._duration_s = 0.0
 
     def take(self, velocity: FloatArray, present: Callable[[], FloatArray], now_s: float,
              period_s: float, messages: int = 1, sent_s: float = 0.0) -> None:
@@ -80,11 +97,6 @@ class VelocityStream:
         motion['velocity'], motion['own'] = velocity, own
         motion['slope'] = (velocity - before) / self._duration_s
         motion['reached'] = now_s + self._duration_s
-
-    @property
-    def motion(self) -> Any:
-        """The velocities until the next message, records of ``MOTION``, shape (n,), a view."""
-        return records(self._motion, MOTION)
 
 
 class BaseTwists:
@@ -123,23 +135,18 @@ class BaseTwists:
         self._stream.set(*self._setpoints.stream_settings(int(joints[0])))
         self._stream.take(
             command.twist,
-            lambda: _turned(self._setpoints.velocity[joints], -self._yaw(command, data)),
+            lambda: _turned(self._setpoints.velocity[joints],
+                            -float(data.qpos[self._servos.qpos[joints[2]]])),
             now_s, period_s, command.messages, command.sent_s)
         self.refresh()
 
     def refresh(self) -> Any:
         """Return the twist until the next message, records of ``MOTION``, shape (3,), a view."""
         assert self._stream is not None
-        room = self._derived.made_of(_room_of_twist)  # Compiled code keeps its address.
+        # Compiled code keeps its address.
+        room = self._derived.of.setdefault('twist', records(blank_motion(3), MOTION))
         room[:] = self._stream.motion
         return room
-
-    def _yaw(self, command: BaseTwist, data: mujoco.MjData) -> float:
-        return float(data.qpos[self._servos.qpos[command.joints[2]]])
-
-
-def _room_of_twist() -> Any:
-    return records(blank_motion(3), MOTION)
 
 
 def _turned(twist: FloatArray, yaw: float) -> FloatArray:

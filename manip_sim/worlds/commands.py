@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import contextlib
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.control.command_parser import CartesianParser
 from manip_sim.control.commands import Command, CommandHandle, JointSetpoint
 from manip_sim.control.modes import POSITION, VELOCITY
-from manip_sim.errors import CommandError
+from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.quoting import format_value
 from manip_sim.simulation import SimulatedRobot
@@ -86,10 +88,8 @@ class RowByRow:
         made = []
         for world in np.flatnonzero(mask).tolist():
             robot = self._robots[world]
-            try:
+            with naming(world):
                 made.append((robot, tuple(parse(robot, world))))
-            except CommandError as error:
-                raise CommandError(f'world {world}: {error}') from error
         return made
 
     def _rows(self, values: ArrayLike, noun: str) -> FloatArray:
@@ -211,9 +211,8 @@ class Commands(RowByRow):
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
-        columns = {field: self._rows(values, f'{part or "joint_command"}: {field}')
-                   for field, values in (('position', position), ('velocity', velocity),
-                                         ('effort', effort)) if values is not None}
+        columns = self._columns(part or 'joint_command', position=position, velocity=velocity,
+                                effort=effort)
         mask, goal = world_mask(where, len(self._robots)), None
         if len(columns) == 1:
             (field, values), = columns.items()
@@ -250,13 +249,16 @@ class Commands(RowByRow):
         :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: as ``robot.parse.joint_impedance``
         """
-        columns = {field: self._rows(values, f'{part or "joint_impedance"}: {field}')
-                   for field, values in (
-                       ('position', position), ('velocity', velocity), ('effort', effort),
-                       ('stiffness', stiffness), ('damping', damping)) if values is not None}
+        columns = self._columns(part or 'joint_impedance', position=position, velocity=velocity,
+                                effort=effort, stiffness=stiffness, damping=damping)
         self._apply(lambda robot, world: robot.parse.joint_impedance(
             names, part=part, **{field: values[world] for field, values in columns.items()}),
             where, period_s)
+
+    def _columns(self, label: str, **given: ArrayLike | None) -> dict[str, FloatArray]:
+        """Return the arrays that are given, by field."""
+        return {field: self._rows(values, f'{label}: {field}')
+                for field, values in given.items() if values is not None}
 
     def _go_on(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
                mask: BoolArray, period_s: float | None) -> IntArray:
@@ -388,10 +390,8 @@ class CartesianCommands(RowByRow):
         :raises CommandError: if the frame is unknown, or the numbers are not poses
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        places = self._rows(position, f'{arm}: positions')
-        turns = self._rows(quat_xyzw, f'{arm}: quaternions')
-        self._apply(lambda robot, world: [robot.parse_cartesian.pose(
-            arm, places[world], turns[world], frame)], where, period_s)
+        self._each(CartesianParser.pose, arm, {'positions': position, 'quaternions': quat_xyzw},
+                   where, period_s, frame=frame)
 
     def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = '', *,
               where: ArrayLike | None = None, period_s: float | None = None) -> None:
@@ -405,10 +405,9 @@ class CartesianCommands(RowByRow):
         :raises CommandError: if the frame is unknown, or a number is not finite or too great
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        speeds = self._rows(linear, f'{arm}: linear velocities')
-        turns = self._rows(angular, f'{arm}: angular velocities')
-        self._apply(lambda robot, world: [robot.parse_cartesian.twist(
-            arm, speeds[world], turns[world], frame)], where, period_s)
+        self._each(CartesianParser.twist, arm, {
+            'linear velocities': linear, 'angular velocities': angular}, where, period_s,
+            frame=frame)
 
     def until_contact(self, arm: str, linear: ArrayLike, angular: ArrayLike, *, force: float,
                       distance: float, duration_s: float, frame: str = '',
@@ -426,11 +425,9 @@ class CartesianCommands(RowByRow):
         :raises CommandError: as ``robot.parse_cartesian.until_contact``
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        speeds = self._rows(linear, f'{arm}: linear velocities')
-        turns = self._rows(angular, f'{arm}: angular velocities')
-        self._apply(lambda robot, world: [robot.parse_cartesian.until_contact(
-            arm, speeds[world], turns[world], force=force, distance=distance,
-            duration_s=duration_s, frame=frame)], where, period_s)
+        self._each(CartesianParser.until_contact, arm, {
+            'linear velocities': linear, 'angular velocities': angular}, where, period_s,
+            force=force, distance=distance, duration_s=duration_s, frame=frame)
 
     def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = '', *,
                where: ArrayLike | None = None, period_s: float | None = None) -> None:
@@ -445,10 +442,8 @@ class CartesianCommands(RowByRow):
             an impedance
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        forces = self._rows(force, f'{arm}: forces')
-        torques = self._rows(torque, f'{arm}: torques')
-        self._apply(lambda robot, world: [robot.parse_cartesian.wrench(
-            arm, forces[world], torques[world], frame)], where, period_s)
+        self._each(CartesianParser.wrench, arm, {'forces': force, 'torques': torque}, where,
+                   period_s, frame=frame)
 
     def force_mode(self, arm: str, selection: ArrayLike, wrench: ArrayLike, limits: ArrayLike, *,
                    where: ArrayLike | None = None, period_s: float | None = None) -> None:
@@ -462,10 +457,8 @@ class CartesianCommands(RowByRow):
         :raises CommandError: as ``robot.parse_cartesian.force_mode``
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        axes, wrenches, speeds = (self._rows(value, f'{arm}: {name}') for value, name in (
-            (selection, 'selections'), (wrench, 'wrenches'), (limits, 'limits')))
-        self._apply(lambda robot, world: [robot.parse_cartesian.force_mode(
-            arm, axes[world], wrenches[world], speeds[world])], where, period_s)
+        self._each(CartesianParser.force_mode, arm, {
+            'selections': selection, 'wrenches': wrench, 'limits': limits}, where, period_s)
 
     def action(self, arm: str, action: ArrayLike, *, where: ArrayLike | None = None,
                period_s: float | None = None) -> None:
@@ -488,6 +481,14 @@ class CartesianCommands(RowByRow):
             renew_actions(self._table, going_on.robots, worlds, indices, numbers)
         self._act(arm, numbers, mask, period_s, lambda robot, action: (
             robot.parse_cartesian.action(arm, action)), SimulatedRobot.streams, renew)
+
+    def _each(self, parse: Callable[..., Command], arm: str, rows: Mapping[str, ArrayLike],
+              where: ArrayLike | None, period_s: float | None, **common: Any) -> None:
+        """Command an arm in each world by its row of each array, and what all have in common."""
+        columns = [self._rows(values, f'{arm}: {noun}') for noun, values in rows.items()]
+        self._apply(lambda robot, world: [parse(
+            robot.parse_cartesian, arm, *[column[world] for column in columns], **common)],
+            where, period_s)
 
 
 def world_mask(where: ArrayLike | None, count: int) -> BoolArray:
@@ -524,3 +525,14 @@ def as_batch(values: ArrayLike, count: int, noun: str) -> FloatArray:
         raise CommandError(f'{noun} must have a leading axis of {count}, one row for each world, '
                            f'got the shape {numbers.shape}')
     return numbers
+
+
+@contextlib.contextmanager
+def naming(world: int) -> Iterator[None]:
+    """Let an error about a value name the world that it is for."""
+    try:
+        yield
+    except UnknownNameError:
+        raise
+    except (CommandError, ModelError) as error:
+        raise type(error)(f'world {world}: {error}') from error

@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
-import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,13 +15,12 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.modes import Law, law_of
 from manip_sim.control.seats import LawParameters
-from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.errors import CommandError, ModelError
 from manip_sim.physics.parts import EndEffector
 from manip_sim.physics.payload import Payload
-from manip_sim.physics.poses_and_twists import Pose, Twist
-from manip_sim.simulation import SimulatedRobot, Wrench
+from manip_sim.simulation import SimulatedRobot
 from manip_sim.validation import command_numbers
-from manip_sim.worlds.commands import as_batch, CartesianCommands, Commands, world_mask
+from manip_sim.worlds.commands import as_batch, CartesianCommands, Commands, naming, world_mask
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ class RobotInWorlds:
         by_world = {name: self._each(name, values) for name, values in parameters.items()}
         sets = [{name: values[world] for name, values in by_world.items()} for world in worlds]
         for world, values in zip(worlds, sets):
-            with _naming(world):
+            with naming(world):
                 checked.values(values)
         for world, values in zip(worlds, sets):
             self._robots[world].set_law(part, checked, compiled=compiled, **values)
@@ -149,7 +148,7 @@ class RobotInWorlds:
             ('center_of_mass', center_of_mass, 3), ('inertia', inertia, 6)))
         payloads = []
         for world in worlds:
-            with _naming(world):
+            with naming(world):
                 payloads.append(Payload.checked(masses[world], places[world], turns[world]))
         for world, payload in zip(worlds, payloads):
             self._robots[world].joints.set_payload(arm, payload)
@@ -183,7 +182,7 @@ class RobotInWorlds:
             np.stack([state.position for state in states]),
             np.stack([state.velocity for state in states]),
             np.stack([state.effort for state in states]),
-            {arm: _together([state.end_effectors[arm] for state in states]) for arm in arms})
+            {arm: _stacked([state.end_effectors[arm] for state in states]) for arm in arms})
 
     def measured(self, part: str | None = None) -> FloatArray:
         """
@@ -221,7 +220,7 @@ class LawParametersInWorlds(MutableMapping[str, FloatArray]):
         """
         checked = []
         for world, value in enumerate(self._each(name, values)):
-            with _naming(world):
+            with naming(world):
                 checked.append(self._worlds[world].checked(name, value))
         for parameters, value in zip(self._worlds, checked):
             parameters[name] = value
@@ -236,28 +235,10 @@ class LawParametersInWorlds(MutableMapping[str, FloatArray]):
         return len(self._worlds[0])
 
 
-@contextlib.contextmanager
-def _naming(world: int) -> Iterator[None]:
-    """Let an error about a value name the world that it is for."""
-    try:
-        yield
-    except UnknownNameError:
-        raise
-    except (CommandError, ModelError) as error:
-        raise type(error)(f'world {world}: {error}') from error
-
-
-def _together(states: Sequence[EndEffector]) -> EndEffector:
-    """Return the states of an end effector with a leading axis."""
-    return EndEffector(
-        Pose(np.stack([state.pose.position for state in states]),
-             np.stack([state.pose.quat_xyzw for state in states])),
-        Twist(np.stack([state.twist.linear for state in states]),
-              np.stack([state.twist.angular for state in states])),
-        _wrenches([state.wrench for state in states]),
-        _wrenches([state.external_wrench for state in states]))
-
-
-def _wrenches(wrenches: Sequence[Wrench]) -> Wrench:
-    return Wrench(np.stack([wrench.force for wrench in wrenches]),
-                  np.stack([wrench.torque for wrench in wrenches]))
+def _stacked(states: Sequence[Any]) -> Any:
+    """Return arrays, or objects that have arrays, as one with a leading axis."""
+    first = states[0]
+    if isinstance(first, np.ndarray):
+        return np.stack(states)
+    return type(first)(*(_stacked([getattr(state, field.name) for state in states])
+                         for field in fields(first)))

@@ -10,7 +10,7 @@ import pytest
 from manip_sim.control.law.joint_records import readable, SERVO
 from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.servo_rates import drive
-from manip_sim.control.law import setpoint_motion
+from manip_sim.control.law import setpoint_changes, setpoint_motion
 from manip_sim.control.law.setpoint_changes import follow
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.physics.physics import Kinematics, WorldArrays
@@ -602,7 +602,8 @@ def test_a_ramp_ends_exactly_at_its_goal_whatever_its_slope():
     goal[::2], slope = 0.0, np.abs(slope) + 0.5
     setpoints, joints = generator(2000), np.arange(2000)
     setpoints.set_state(joints, np.zeros(2000), rng.uniform(-1.9, 1.9, 2000))
-    setpoints.ramp_to(joints, goal, 1.0, slope)
+    setpoint_changes.ramp_to(setpoints.joints, joints, goal, 1.0, slope)
+    setpoints.moving = True
     for _ in range(2100):
         setpoints.advance(0.004)
     np.testing.assert_array_equal(setpoints.velocity, goal)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.algebra import length, product, transposed_product, wxyz_to_xyzw
-from manip_sim.arrays import BoolArray, FloatArray
+from manip_sim.arrays import FloatArray
 from manip_sim.control.cartesian.cartesian_commands import (
     CartesianCommand, CartesianPose, CartesianTwist, CartesianWrench, ForceMode, GuardedTwist)
 from manip_sim.control.cartesian.cartesian_settings import (
@@ -43,8 +43,6 @@ _MOVED = 1e-5
 _IN_WORLD = Frame(WORLD, 0)
 #: Counters of reports that compiled code compares with what it notes, in its order.
 _KNOWN = ('joint_limit', 'singular', 'aside', 'slowed')
-#: None of the joints.
-_NOBODY = np.zeros(0, dtype=bool)
 
 
 class CartesianController:
@@ -63,6 +61,8 @@ class CartesianController:
     :param setpoints: of all driven joints
     :param end_effectors: readers of the grippers, by arm
     :param seats: laws of users, which get the setpoints
+    :param arms: joints of the arms as the law reads them
+    :ivar readers: of the grippers, by arm
     :ivar settings: by arm
     :ivar reports: by arm
     :ivar period_s: length of the control period [s]
@@ -76,13 +76,11 @@ class CartesianController:
 
     def __init__(self, physics: Physics, chains: Mapping[str, KinematicChain],
                  names: Sequence[str], servos: Servos, setpoints: SetpointGenerator,
-                 end_effectors: Mapping[str, EndEffectorReader], seats: Seats) -> None:
-        self._physics = physics
-        self._readers = end_effectors
-        self._chains = chains
-        self._names = names
-        self._servos = servos
-        self._setpoints, self._seats = setpoints, seats
+                 end_effectors: Mapping[str, EndEffectorReader], seats: Seats, arms: Arms
+                 ) -> None:
+        self._physics, self._chains, self._names = physics, chains, names
+        self._servos, self._setpoints, self._seats = servos, setpoints, seats
+        self._arms, self.readers = arms, end_effectors
         self.posture: FloatArray = physics.data.qpos[servos.qpos].copy()
         self._low, self._high = servos.position_clamp().T
         #: Joints of each arm, of all driven ones, in the arm's order.
@@ -96,17 +94,7 @@ class CartesianController:
         #: By arm: longest interval of a stream of poses, how long it goes on when it stops [s].
         self._streams = {arm: (STREAM_INTERVAL_S, 0.0) for arm in chains}
         self._derived = Derived()
-        self._arms = Arms(physics, servos)
         physics.on_change(self._rebind)
-
-    @property
-    def readers(self) -> Mapping[str, EndEffectorReader]:
-        """The readers of the grippers, by arm."""
-        return self._readers
-
-    def refresh_joint_parameters(self) -> None:
-        """Take over the damping of the joints, which was changed in the model."""
-        self._arms.refresh_joint_parameters()
 
     def _rebind(self) -> None:
         for chain in self._chains.values():
@@ -209,12 +197,11 @@ class CartesianController:
         :param now_s: simulation time [s]
         :param goes_on: whether the end effector had a target until now
         """
-        before, streamed = (self._targets.get(command.arm),) * 2
+        streamed = before = self._targets.get(command.arm)
         if before is not None and (before.twists is None or now_s > before.until_s + 1e-9):
             before = None
-        lasts_s = self.settings[command.arm].twist_timeout
-        if isinstance(command, GuardedTwist):
-            lasts_s = math.inf
+        lasts_s = (math.inf if isinstance(command, GuardedTwist)
+                   else self.settings[command.arm].twist_timeout)
         target = self._targets[command.arm] = target_of(
             command, self._chains[command.arm], self._physics.model, data,
             self._physics.arrays.kinematics, before, now_s + lasts_s)
@@ -329,7 +316,7 @@ class CartesianController:
         has moved on for a control period presses much harder.
         """
         pose = position, _ = self._chains[command.arm].tip.pose(data)
-        wrench = self._readers[command.arm].external_wrench(data)
+        wrench = self.readers[command.arm].external_wrench(data)
         distance, duration_s = length(position - guard.start), now_s - guard.begin_s
         causes = {'contact': length(wrench[:3]) >= command.force,
                   'distance': distance >= command.distance,
@@ -375,7 +362,9 @@ class CartesianController:
         targets.tasks['acts'] = IDLE
         for number, command in enumerate(commands):
             target = self._targets[command.arm]
-            self._end_twist(command, target, now_s)
+            if target.twists is not None and now_s >= target.until_s - 1e-9:
+                target.twists, target.until_s = None, -math.inf
+                command.handle.end(Status.ABORTED, 'no fresh twist came in time')
             if now_s >= target.push_until_s - 1e-9:
                 self._end_push(command.arm, target, self._physics.data)
             exerts = self._exerts(command)
@@ -477,13 +466,7 @@ class CartesianController:
         """
         for number, command in enumerate(commands):
             task, target = targets.tasks[number], self._targets[command.arm]
-            self._keep(target, targets, number)
-            if task['follows'] == TWISTS:
-                target.position = targets.positions[number].copy()
-                target.rotation = targets.rotations[number].copy()
-            target.reference = None
-            if task['impedes']:
-                target.reference = targets.places[number].copy(), targets.attitudes[number].copy()
+            _keep(target, targets, number)
             if task['usual'] and self.reports[command.arm].active.issubset(_KNOWN):
                 self.reports[command.arm].keep_seen(float(task['seen_s']))
             else:
@@ -522,34 +505,10 @@ class CartesianController:
         :param targets: of these
         """
         for number, command in enumerate(commands):
-            task, target = targets.tasks[number], self._targets[command.arm]
-            self._keep(target, targets, number)
-            target.position = targets.positions[number].copy()
-            target.rotation = targets.rotations[number].copy()
-            if task['impedes']:
-                target.reference = targets.places[number].copy(), targets.attitudes[number].copy()
-            self.reports[command.arm].keep_seen(float(task['seen_s']))
-
-    @staticmethod
-    def _keep(target: Target, targets: Targets, number: int) -> None:
-        """Take over how far the end effector has come to a target."""
-        task = targets.tasks[number]
-        target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
-        target.start = targets.starts[number].copy() if task['begun'] else None
-
-    @staticmethod
-    def _end_twist(command: CartesianCommand, target: Target, now_s: float) -> None:
-        if target.twists is not None and now_s >= target.until_s - 1e-9:
-            target.twists = None
-            target.until_s = -math.inf
-            command.handle.end(Status.ABORTED, 'no fresh twist came in time')
+            _keep(self._targets[command.arm], targets, number)
+            self.reports[command.arm].keep_seen(float(targets.tasks[number]['seen_s']))
 
     # ------------------------------------------------------------------ reports
-
-    def _see(self, command: CartesianCommand, what: str, held: BoolArray, singular: bool,
-             slowed: bool = False) -> None:
-        names = [self._names[i] for i in command.indices[held]] if held.any() else []
-        self.reports[command.arm].see_motion(what, names, singular, slowed)
 
     def _look(self, command: CartesianCommand, targets: Targets, number: int, k: int) -> None:
         """Check whether a target is reached, and report what keeps an arm from it."""
@@ -560,8 +519,9 @@ class CartesianController:
             return
         motion = ('the twist' if follows == TWISTS else 'the stream of poses' if slowed
                   else 'the motion to the target')
-        self._see(command, motion, targets.held[number, k, command.indices] if held else _NOBODY,
-                  bool(singular), bool(slowed))
+        at_ends = command.indices[targets.held[number, k, command.indices]] if held else []
+        report.see_motion(motion, [self._names[joint] for joint in at_ends], bool(singular),
+                          bool(slowed))
         if follows == TWISTS:
             return
         if reached and command.handle.is_active:
@@ -569,6 +529,18 @@ class CartesianController:
         report.see_target(targets.errors[number, k], bool(close), progress, now_s)
         if follows == RESTS and not targets.tasks[number]['impedes']:  # Which yields aside.
             report.see_way(aside)
+
+
+def _keep(target: Target, targets: Targets, number: int) -> None:
+    """Take over where a target is, and how far the end effector has come to it."""
+    task = targets.tasks[number]
+    target.position = targets.positions[number].copy()
+    target.rotation = targets.rotations[number].copy()
+    target.rests, target.solve_s = bool(task['rests']), float(task['solve_s'])
+    target.start = targets.starts[number].copy() if task['begun'] else None
+    target.reference = None
+    if task['impedes']:
+        target.reference = targets.places[number].copy(), targets.attitudes[number].copy()
 
 
 def _with_arms(targets: Targets, first: Arm, second: Arm) -> Targets:

@@ -13,21 +13,22 @@ import numpy as np
 
 from manip_sim.algebra import length, product, rotation_vector
 from manip_sim.arrays import FloatArray
-from manip_sim.control.law.joint_records import (
-    blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, PLACES, records)
+from manip_sim.control.law.joint_records import FIELDS, MOTION_FIELDS, PLACES, records
 from manip_sim.control.servos import SPEED_UP_S
+from manip_sim.control.velocity_stream import Stream
 
 _ALL = np.arange(6)
 #: Largest acceleration that counts as zero [m/s^2, rad/s^2].
 _STEADY = 1e-3
 
 
-class PoseStream:
+class PoseStream(Stream):
     """
     The poses of a stream of targets, all in the same frame.
 
     The velocity of the reference ramps to that of the poses within one message interval, so that
-    it follows them with a delay of one and a half.
+    it follows them with a delay of one and a half. The motion is the way from the last pose to it,
+    translation [m] and rotation vector [rad].
 
     :ivar moving: whether poses have come regularly, so that the reference moves
     :ivar smooth: share of the acceleration of the reference that is that of the poses themselves,
@@ -41,9 +42,8 @@ class PoseStream:
 
     def __init__(self) -> None:
         #: The coordinates are sums of translations and of rotation vectors from pose to pose.
-        self._state = blank_state(np.ones(6))
+        super().__init__(np.ones(6))
         self._position, self._rotation = np.zeros(3), np.eye(3)
-        self._motion = blank_motion(6)
         self.motion['own'] = np.inf
         #: Accelerations of the poses, linear and angular, as of the last message.
         self._own = (0.0, 0.0)
@@ -51,16 +51,6 @@ class PoseStream:
         #: When the last pose came [s], and the stream before that.
         self._came_s = -np.inf
         self._before: PoseStream | None = None
-
-    def set(self, longest_s: float, hold_s: float) -> None:
-        """
-        Change what counts as a stream.
-
-        :param longest_s: longest interval between messages [s]
-        :param hold_s: how long the reference goes on after a message was due [s]; 0: two intervals
-        """
-        joints = self._joints
-        joints['longest'], joints['hold'] = longest_s, hold_s
 
     @property
     def _joints(self) -> Any:
@@ -143,13 +133,3 @@ class PoseStream:
     def until_s(self) -> float:
         """Simulation time when the reference comes to rest, unless a pose comes [s]."""
         return self._state.item(0, PLACES['until']) if self.moving else np.inf
-
-    @property
-    def motion(self) -> Any:
-        """
-        The way from the last pose to the reference until the next message.
-
-        :returns: translation [m] and rotation vector [rad], records of ``MOTION``, shape (6,), a
-            view
-        """
-        return records(self._motion, MOTION)
