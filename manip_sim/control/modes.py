@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.servos import Servos
-from manip_sim.control.user_laws import LAWS, PREFIX
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import format_value, one_line, quoted
 from manip_sim.resources import Offer, offers

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.control.commands import CommandHandle
-from manip_sim.control.user_laws import Law, LAWS
+from manip_sim.control.modes import Law, LAWS
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
