@@ -17,8 +17,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.finger_records import FINGER
-from manip_sim.control.law.joint_records import readable
+from manip_sim.control.law.records import FINGER, readable
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.actuators import declared_velocity, JointCouplings, position_servos

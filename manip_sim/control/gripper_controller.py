@@ -19,8 +19,9 @@ from manip_sim.control.commands import (
     Command, CommandHandle, GripperAction, GripperGrasp, GripperSetpoint, GripperSuction, Ledger,
     Status)
 from manip_sim.control.gripper_actuators import ForceLimit, GripperActuators, GripperJoints
-from manip_sim.control.law.finger_records import (
-    ACTS, AWAITED, Grip, Gripper, GRIPPER_RATE_HZ, MOVES, no_rule, RENEWED, Rule, RULED, TURNED)
+from manip_sim.control.law.records import (
+    AWAITED, FINGERS_MOVE, Grip, Gripper, GRIPPER_RATE_HZ, no_rule, RENEWED, Rule, RULED, TAKES,
+    TURNED)
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.models.grippers import GripperModel
@@ -453,12 +454,13 @@ class GripperController:
     def end_run(self, gripper: Gripper) -> None:
         """Take over what the compiled law has changed; end commands once all fingers stand."""
         grip, flags = gripper.grip, gripper.grip.flags
-        if not (self._moving or flags[MOVES] or flags[RENEWED]):
+        if not (self._moving or flags[FINGERS_MOVE] or flags[RENEWED]):
             return
         if flags[RENEWED]:
             self._take_renewed(grip)
-        moved, self._moving, self._turned = self._moving, bool(flags[MOVES]), bool(flags[TURNED])
-        if not flags[ACTS]:
+        moved, self._moving = self._moving, bool(flags[FINGERS_MOVE])
+        self._turned = bool(flags[TURNED])
+        if not flags[TAKES]:
             self._action = None
         if moved and not self._moving:
             for command in list(self.commands.running):

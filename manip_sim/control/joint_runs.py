@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.cartesian_commands import CartesianCommand, PoseAction
-from manip_sim.control.commands import (
-    BaseTwist, Command, JointSetpoint, JointTrajectory, Status)
+from manip_sim.control.commands import BaseTwist, Command, JointSetpoint, JointTrajectory, Status
 from manip_sim.control.joint_controller import JointController
-from manip_sim.control.law.arm_records import no_targets, Targets
-from manip_sim.control.law.joint_records import (
-    blank_motion, DUE, MOTION, MOVES, records, RobotJoints)
+from manip_sim.control.law.records import (
+    blank_motion, DUE, MOTION, MOVES, no_targets, records, RobotJoints, Targets)
 from manip_sim.control.modes import EFFORT, MODES, POSITION, VELOCITY
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock

@@ -18,8 +18,9 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.kinematic_chains import Arms, Payloads
-from manip_sim.control.law.joint_records import PLAIN
+from manip_sim.control.law.records import PLAIN
 from manip_sim.control.modes import COSTLY, FILLS, Law
+from manip_sim.control.payloads import Payloads
 from manip_sim.control.servos import Servos
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
@@ -272,7 +273,7 @@ class Seats:
     def _write_rows(self, setpoints: Any, efforts: FloatArray, payloads: Payloads, *_: Any
                     ) -> IntArray:
         """Write the rows of the laws that act, and return their addresses."""
-        from manip_sim.control.law.rows import Row  # It imports numba.
+        from manip_sim.control.law.compiling import Row  # It imports numba.
         from manip_sim.control.law.seat import SEAT
         rows = []
         for part, seat in self._seats(setpoints, efforts, payloads).items():

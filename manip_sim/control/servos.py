@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.law.joint_records import readable, SERVO
+from manip_sim.control.law.records import readable, SERVO
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
 from manip_sim.models.actuators import (

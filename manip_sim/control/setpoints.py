@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.commands import (
     CommandHandle, JointTrajectory, Ledger, Status, TrajectoryReference)
-from manip_sim.control.law.joint_records import blank_state, PLACES, records
 from manip_sim.control.streamed_trajectories import PointStreams
+from manip_sim.control.law.records import blank_state, PLACES, records
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError
 
@@ -162,7 +162,7 @@ class SetpointGenerator:
         :param position: [rad or m], shape of ``indices``
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        from manip_sim.control.law.setpoint_changes import set_state  # It imports numba.
+        from manip_sim.control.law.setpoint_motion import set_state  # It imports numba.
         set_state(self.joints, np.array(indices), _numbers(position), _numbers(velocity))
         self.moving = True
 
@@ -172,7 +172,7 @@ class SetpointGenerator:
 
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
-        from manip_sim.control.law.setpoint_changes import set_velocity  # It imports numba.
+        from manip_sim.control.law.setpoint_motion import set_velocity  # It imports numba.
         set_velocity(self.joints, np.array(indices), _numbers(velocity))
         self.moving = True
 
@@ -265,8 +265,8 @@ class SetpointGenerator:
 
 @cache
 def _law_of_goals() -> Any:
-    from manip_sim.control.law import stream_timing  # It imports numba.
-    return stream_timing
+    from manip_sim.control.law import streams  # It imports numba.
+    return streams
 
 
 def _numbers(values: ArrayLike) -> FloatArray:

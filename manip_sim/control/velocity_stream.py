@@ -14,7 +14,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.commands import BaseTwist
-from manip_sim.control.law.joint_records import (
+from manip_sim.control.law.records import (
     blank_motion, blank_state, FIELDS, MOTION, MOTION_FIELDS, records)
 from manip_sim.control.servos import Servos
 from manip_sim.control.setpoints import SetpointGenerator
@@ -78,9 +78,8 @@ class VelocityStream(Stream):
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
-        from manip_sim.control.law.stream_goals import take_alone  # It imports numba.
-        from manip_sim.control.law.stream_motion import velocities_at
-        from manip_sim.control.law.stream_timing import wait
+        from manip_sim.control.law.streams import take_alone  # It imports numba.
+        from manip_sim.control.law.streams import velocities_at, wait
         joints, motion = records(self._state), self.motion
         if joints['arrived'][0] == now_s:
             # Of two messages at one instant the newer counts, and the schedule knows of one.

@@ -24,9 +24,7 @@ from manip_sim.control.commands import BaseTwist, Command, GripperAction
 from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.joint_runs import JointRuns
-from manip_sim.control.law.arm_records import Targets
-from manip_sim.control.law.finger_records import Gripper, no_gripper
-from manip_sim.control.law.joint_records import RobotJoints
+from manip_sim.control.law.records import Gripper, no_gripper, RobotJoints, Targets
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Physics, ROW, Scratch
@@ -136,8 +134,8 @@ class RobotRuns:
     def _room(self) -> RunRoom:
         room: RunRoom | None = self._derived.of.get('room')
         if room is None:
+            from manip_sim.control.law.compiling import Row
             from manip_sim.control.law.period import ROBOT  # It imports numba.
-            from manip_sim.control.law.rows import Row
             count = len(self._controller.names)
             room = self._derived.of['room'] = RunRoom(
                 Row(ROBOT), np.zeros(1), np.full(count, -1), np.zeros(1, np.int64),
@@ -366,9 +364,9 @@ class CompiledPeriod:
         :param efforts: room for the efforts
         :param rules: of their computation
         """
+        from manip_sim.control.law.compiling import Row
         from manip_sim.control.law.period import (  # It imports numba.
             PERIOD, Standing, Time, Weight)
-        from manip_sim.control.law.rows import Row
         from manip_sim.control.law.stepping import LastStep, options_of, Watch, words_of
         steps, clock, physics = self._steps, self._clock, self._steps.physics
         model, data, addresses = physics.model, physics.data, physics.addresses
@@ -520,7 +518,7 @@ def _row_in_thread(scratch: Scratch) -> int:
     """Return the address of the row of the scratch of this thread."""
     row = scratch.derived.of.get('row')
     if row is None:
-        from manip_sim.control.law.rows import Row  # It imports numba.
+        from manip_sim.control.law.compiling import Row  # It imports numba.
         row = scratch.derived.of['row'] = Row(_period().SCRATCH)
         row.write(_period().ScratchArrays(scratch.address, scratch.kinematics))
     return int(row.address)

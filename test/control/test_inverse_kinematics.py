@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.law import approach as law
-from manip_sim.control.law.arm_records import ArmMotion, Velocities
-from manip_sim.control.law.displacement import displace as write_displacements
-from manip_sim.control.law.singular_directions import find_bend, limit_rate
+from manip_sim.control.law import inverse_kinematics as law
+from manip_sim.control.law.inverse_kinematics import find_bend, limit_rate
+from manip_sim.control.law.records import ArmMotion, Velocities
 from manip_sim.control.law.small_matrices import minimize_in_box
 from manip_sim.physics.robot_frames import RobotFrames
 
@@ -55,8 +54,8 @@ def displace(jacobian, task, low, high, away):
     """Return displacements for a task, and those towards a posture."""
     count = len(away)
     step, drift = np.empty(count), np.empty(count)
-    write_displacements(jacobian, task, low, high, away, False, step, drift,
-                        np.empty(count, dtype=bool), np.empty((count, count)))
+    law.displace(jacobian, task, low, high, away, False, step, drift,
+                 np.empty(count, dtype=bool), np.empty((count, count)))
     return step, drift
 
 

@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.control.law.arm_records import Goal, Motion, Spring
 from manip_sim.control.law import kept, loading
 from manip_sim.control.law.compiling import compiled, kept_in
 from manip_sim.control.law.operational_space import exert
+from manip_sim.control.law.records import Goal, Motion, Spring
 from manip_sim.control.law.small_matrices import rotation_vector
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
@@ -28,10 +28,9 @@ from manip_sim.simulation import Simulation
 SCRIPT = """
 import hashlib
 import numpy as np
-from manip_sim.control.law.displacement import displace
-from manip_sim.control.law.arm_records import Spring
+from manip_sim.control.law.inverse_kinematics import displace, limit_rate
 from manip_sim.control.law.operational_space import accelerate
-from manip_sim.control.law.singular_directions import limit_rate
+from manip_sim.control.law.records import Spring
 from manip_sim.control.law.small_matrices import rotation_vector
 draw, digest, bounded = np.random.default_rng(7), hashlib.sha256(), 0
 for number in range(60):

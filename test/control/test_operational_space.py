@@ -10,8 +10,8 @@ import pytest
 
 from manip_sim.algebra import rotation_vector
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings
-from manip_sim.control.law.arm_records import Spring
 from manip_sim.control.law.operational_space import accelerate
+from manip_sim.control.law.records import Spring
 
 
 def wanted_motion(jacobian, error, along, settings, velocity_limit):

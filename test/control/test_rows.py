@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from manip_sim.control.law.rows import Layout, Row
+from manip_sim.control.law.compiling import Layout, Row
 
 RECORD = np.dtype([('number', np.int64), ('value', np.float64), ('flag', np.bool_)], align=True)
 

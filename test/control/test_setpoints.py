@@ -7,11 +7,11 @@ import numba
 import numpy as np
 import pytest
 
-from manip_sim.control.law.joint_records import readable, SERVO
+from manip_sim.control.law import setpoint_changes
 from manip_sim.control.law.loads import no_loads
+from manip_sim.control.law.records import readable, SERVO
 from manip_sim.control.law.servo_rates import drive
-from manip_sim.control.law import setpoint_changes, setpoint_motion
-from manip_sim.control.law.setpoint_changes import follow
+from manip_sim.control.law.setpoint_motion import braking_velocity, follow
 from manip_sim.control.setpoints import SetpointGenerator
 from manip_sim.physics.physics import Kinematics, WorldArrays
 
@@ -500,13 +500,12 @@ def test_joints_do_not_know_of_each_other():
 @pytest.mark.parametrize('distance', [-2.0, -1e-9, 1e-4, 0.3])
 def test_braking_velocity_leaves_the_way_of_a_constant_deceleration(interval_s, distance):
     # Compiled, only other laws call it.
-    law = setpoint_motion.braking_velocity
-    braking_velocity = getattr(law, 'py_func', law)
-    velocity = braking_velocity(distance, A, interval_s)
+    function = getattr(braking_velocity, 'py_func', braking_velocity)
+    velocity = function(distance, A, interval_s)
     left = abs(distance) - abs(velocity) * interval_s
     assert velocity * distance > 0.0
     assert velocity**2 / (2.0 * A) == pytest.approx(left, rel=1e-6, abs=1e-16)
-    assert braking_velocity(0.0, 1.0, interval_s) == 0.0
+    assert function(0.0, 1.0, interval_s) == 0.0
 
 
 def hold_back(setpoints, measured, effort, velocity=0.0, carried=0.0, constraint=0.0,

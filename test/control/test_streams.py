@@ -12,9 +12,8 @@ import sys
 import numpy as np
 import pytest
 
-from manip_sim.control.law.joint_records import blank_state, records
-from manip_sim.control.law.stream_goals import take_alone
-from manip_sim.control.law.stream_timing import TRUSTED, wait
+from manip_sim.control.law.records import blank_state, records
+from manip_sim.control.law.streams import take_alone, TRUSTED, wait
 from manip_sim.control.setpoints import SetpointGenerator
 
 PERIOD_S, LIMIT = 0.01, np.array([10.0])

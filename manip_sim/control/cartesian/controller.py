@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import math
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +23,7 @@ from manip_sim.control.cartesian.pose_stream import PoseStream
 from manip_sim.control.cartesian.reports import CartesianReport, Contact
 from manip_sim.control.cartesian.targets import Guard, Target, target_of
 from manip_sim.control.commands import Status
-from manip_sim.control.law.arm_records import (
+from manip_sim.control.law.records import (
     Arm, BRAKES, EXERTS, IDLE, LEADS, no_targets, RESTS, STREAMS, Targets, targets_of, TWISTS)
 from manip_sim.control.seats import Seats
 from manip_sim.control.servos import Servos, SPEED_UP_S

@@ -17,8 +17,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.law.arm_records import Arm, CHAIN
-from manip_sim.control.law.joint_records import readable
+from manip_sim.control.law.records import Arm, CHAIN, readable
 from manip_sim.control.servos import Servos
 from manip_sim.derived import Derived
 from manip_sim.errors import UnknownNameError

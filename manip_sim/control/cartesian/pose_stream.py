@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_sim.algebra import length, product, rotation_vector
 from manip_sim.arrays import FloatArray
-from manip_sim.control.law.joint_records import FIELDS, MOTION_FIELDS, PLACES, records
+from manip_sim.control.law.records import FIELDS, MOTION_FIELDS, PLACES, records
 from manip_sim.control.servos import SPEED_UP_S
 from manip_sim.control.velocity_stream import Stream
 
@@ -72,7 +72,7 @@ class PoseStream(Stream):
         :param messages: how many messages came since the last call, of which this is the last
         :param sent_s: when it was sent, by any clock [s]; 0: unknown
         """
-        from manip_sim.control.law.stream_timing import wait  # It imports numba.
+        from manip_sim.control.law.streams import wait  # It imports numba.
         if self._before is not None and self._came_s == now_s:
             vars(self).update(vars(self._before))
         joints = self._joints
@@ -97,8 +97,8 @@ class PoseStream(Stream):
 
     def _follow(self, position: FloatArray, rotation: FloatArray, limits: FloatArray,
                 present: Callable[[], FloatArray], now_s: float) -> None:
-        from manip_sim.control.law.stream_goals import take_alone  # It imports numba.
-        from manip_sim.control.law.stream_motion import velocities_at
+        from manip_sim.control.law.streams import take_alone  # It imports numba.
+        from manip_sim.control.law.streams import velocities_at
         joints, motion = self._joints, self.motion
         taken = take_alone(joints, now_s)
         self._position, self._rotation = position, rotation

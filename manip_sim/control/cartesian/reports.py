@@ -12,7 +12,7 @@ from typing import ClassVar, NamedTuple
 
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
-from manip_sim.control.law.arm_records import ASIDE, NEARER
+from manip_sim.control.law.records import ASIDE, NEARER
 
 #: A target is unreachable if the end effector misses it, and comes no nearer for this time [s].
 _STALLED_S = 0.3

@@ -12,8 +12,8 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.control.law.compiling import inlined, inner
-from manip_sim.control.law.finger_records import (
-    ACTS, Grip, Gripper, GRIPPER_RATE_HZ, MOVES, PAIR, RULED, TURNED)
+from manip_sim.control.law.records import (
+    FINGERS_MOVE, Grip, Gripper, GRIPPER_RATE_HZ, PAIR, RULED, TAKES, TURNED)
 from manip_sim.control.law.small_matrices import clip
 from manip_sim.physics.physics import WorldArrays
 
@@ -42,10 +42,10 @@ def move_fingers(world: WorldArrays, gripper: Gripper, now: float, duration: flo
     :param duration: of the interval [s]
     """
     fingers, grip = gripper.fingers, gripper.grip
-    if grip.flags[RULED] and grip.flags[ACTS] and now >= grip.call[0] - grip.call[1]:
+    if grip.flags[RULED] and grip.flags[TAKES] and now >= grip.call[0] - grip.call[1]:
         _take_action(world, fingers, grip, now)
     centres = grip.flags[PAIR] and grip.pressing[0] and grip.pressing[1]
-    if not (grip.flags[MOVES] or centres):
+    if not (grip.flags[FINGERS_MOVE] or centres):
         return
     count = len(fingers)
     place, present, target, speed = (
@@ -78,11 +78,11 @@ def move_fingers(world: WorldArrays, gripper: Gripper, now: float, duration: flo
         waits = (grip.to_end[i, 0] or grip.to_end[i, 1]) and not grip.pressing[i]
         steady = _STEADY * (finger.high - finger.low) if centres else finger.tolerance
         moves = moves or waits or not change <= steady
-    moves = moves or grip.flags[ACTS]
-    if grip.flags[MOVES] and not moves:
+    moves = moves or grip.flags[TAKES]
+    if grip.flags[FINGERS_MOVE] and not moves:
         for i in range(count):
             grip.stopped[i] = place[i]
-    grip.flags[MOVES], grip.flags[TURNED] = moves, False
+    grip.flags[FINGERS_MOVE], grip.flags[TURNED] = moves, False
 
 
 @inlined
@@ -125,7 +125,7 @@ def _take_action(world: WorldArrays, fingers: Any, grip: Grip, now: float) -> No
         grip.to_end[i, 0], grip.to_end[i, 1] = below, above
         # Until the next call the setpoints move evenly, not in jumps.
         grip.pace[i] = math.inf if same else abs(goal[i] - _setpoint(world, finger)) / _CALL_S
-    grip.flags[ACTS], grip.flags[TURNED] = not same, True
+    grip.flags[TAKES], grip.flags[TURNED] = not same, True
 
 
 @inner

@@ -11,19 +11,18 @@ from typing import Any
 import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
-from manip_sim.control.law.approach import approach, follow_twist
-from manip_sim.control.law.arm_records import (
+from manip_sim.control.law.compiling import compiled, inlined, inner
+from manip_sim.control.law.inverse_kinematics import approach, follow_twist
+from manip_sim.control.law.loads import Loads
+from manip_sim.control.law.operational_space import (
+    exert, find_error, find_jacobian, impede, Springs)
+from manip_sim.control.law.records import (
     ArmMotion, BRAKES, Goal, LEADS, MISSED, MISSED_TURN, Motion, RESTS, Spring, STREAMS, Targets,
     TWISTS, Velocities)
-from manip_sim.control.law.cartesian_impedance import impede, Springs
-from manip_sim.control.law.compiling import compiled, inlined, inner
-from manip_sim.control.law.loads import Loads
-from manip_sim.control.law.operational_space import exert, find_error, find_jacobian
-from manip_sim.control.law.setpoint_changes import ramp_to
+from manip_sim.control.law.setpoint_motion import ramp_to
 from manip_sim.control.law.small_matrices import (
     clip, dot, multiply_matrices, norm3, rotation_matrix, rotation_vector)
-from manip_sim.control.law.stream_motion import (
-    own_accelerations_at, positions_at, velocities_at)
+from manip_sim.control.law.streams import own_accelerations_at, positions_at, velocities_at
 from manip_sim.physics.physics import Kinematics, WorldArrays
 
 #: A pose is reached if the setpoints are within this of it [m], [rad].

@@ -14,25 +14,21 @@ import time
 import mujoco
 import numpy as np
 
-from manip_sim.control.law.joint_records import (
-    blank_state, PLAIN, readable, records, SERVO)
+from manip_sim.control.law.compiling import Row
 from manip_sim.control.law.kept import all_are_kept, alone, note_that_all_are_kept
 from manip_sim.control.law.leading import act
 from manip_sim.control.law.loads import no_loads
-from manip_sim.control.law.period import (
-    renew, renew_actions, renew_grips, run_rows, SCRATCH)
-from manip_sim.control.law.rows import Row
+from manip_sim.control.law.period import renew, renew_actions, renew_grips, run_rows, SCRATCH
+from manip_sim.control.law.records import blank_state, PLAIN, readable, records, SERVO
 from manip_sim.control.law.servo_rates import find_efforts_beside, find_rates
-from manip_sim.control.law.setpoint_changes import ramp_to, set_state, set_velocity
-from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stream_goals import take_alone
-from manip_sim.control.law.stream_timing import wait
+from manip_sim.control.law.setpoint_motion import advance, ramp_to, set_state, set_velocity
+from manip_sim.control.law.streams import take_alone, wait
 from manip_sim.physics.physics import WorldArrays
 
 _LOGGER = logging.getLogger(__name__)
 #: Time between two reports of a compilation that goes on [s].
 _REPORT_S = 15.0
-#: RobotJoints of an arm that nobody sees.
+#: Joints of an arm that nobody sees.
 _COUNT = 6
 #: A world in which nothing happens, as no step is made in it.
 _WORLD = """

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.law.arm_records import Arm
 from manip_sim.control.law.compiling import inner
-from manip_sim.control.law.joint_records import readable
+from manip_sim.control.law.records import Arm, readable
 from manip_sim.physics.physics import WorldArrays
 
 #: A payload: the body that it moves with, the root of its tree, and its mass [kg].

@@ -13,26 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.control.law.arm_records import (
-    ASIDE, BRAKES, EXERTS, IDLE, LEADS, MOST_SOLUTIONS, NEARER, RESTS, STREAMS, Targets,
-    targets_of, TWISTS)
-from manip_sim.control.law.compiling import compiled, inlined, inner
-from manip_sim.control.law.driving import drive_base
-from manip_sim.control.law.finger_records import (
-    ACTS as TAKES, AWAITED, Gripper, MOVES as FINGERS_MOVE, no_gripper, PAIR, RENEWED)
+from manip_sim.control.law.compiling import compiled, inlined, inner, Layout
 from manip_sim.control.law.gripping import move_fingers
-from manip_sim.control.law.joint_records import (
-    ACTS, DUE, JOINT, MOTION, MOVES, readable, RobotJoints, SERVO, WRITTEN)
 from manip_sim.control.law.leading import act, lead, press_on, put_ahead
 from manip_sim.control.law.loads import no_loads
-from manip_sim.control.law.rows import Layout
+from manip_sim.control.law.records import (
+    ACTS, ASIDE, AWAITED, BRAKES, DUE, EXERTS, FINGERS_MOVE, Gripper, IDLE, JOINT, LEADS,
+    MOST_SOLUTIONS, MOTION, MOVES, NEARER, no_gripper, PAIR, readable, RENEWED, RESTS, RobotJoints,
+    SERVO, STREAMS, TAKES, Targets, targets_of, TWISTS, WRITTEN)
 from manip_sim.control.law.seat import begin_all
 from manip_sim.control.law.servo_rates import drive
-from manip_sim.control.law.setpoint_changes import follow
-from manip_sim.control.law.setpoint_motion import advance
-from manip_sim.control.law.stream_timing import wait
+from manip_sim.control.law.setpoint_motion import advance, drive_base, follow
 from manip_sim.control.law.stepping import (
     begin_notes, compute_end, find_places, LastStep, Notes, notes_of, remember, take_steps, Watch)
+from manip_sim.control.law.streams import wait
 from manip_sim.physics.physics import (
     address_of, Addresses, BECAME, ENDED, Kinematics, PERIODS, ROW, STEPS, STOOD, WENT_ON,
     WorldArrays)

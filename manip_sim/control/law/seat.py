@@ -22,12 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
-from manip_sim.control.law.arm_records import Arm, CHAIN
-from manip_sim.control.law.compiling import inlined, inner
-from manip_sim.control.law.joint_records import blank_state, PLAIN, readable, records, SERVO
+from manip_sim.control.law.compiling import inlined, inner, Layout
 from manip_sim.control.law.loads import carry, find_reaction, Loads, no_loads
 from manip_sim.control.law.operational_space import find_jacobian
-from manip_sim.control.law.rows import Layout
+from manip_sim.control.law.records import Arm, blank_state, CHAIN, PLAIN, readable, records, SERVO
 from manip_sim.physics.physics import WorldArrays
 
 #: Status of a law: how often it was called, whether it runs now, and why its efforts are not used

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Motion of a setpoint in an interval: a reference, a tracked difference to it, and the limits.
+Setpoints: their motion in an interval, and what sets them in place of a stream.
 
 The velocity of the *reference* ramps to that of the goals, which takes the setpoint along a stream
 one and a half intervals late. What is then still missing of the way is *tracked*: by a
@@ -15,14 +15,98 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from manip_sim.arrays import IntArray
-from manip_sim.control.law.compiling import compiled, inner
-from manip_sim.control.law.joint_records import SMOOTHING_S
-from manip_sim.control.law.small_matrices import clip
-from manip_sim.control.law.stream_goals import take_waiting
+import numpy as np
 
+from manip_sim.arrays import FloatArray, IntArray
+from manip_sim.control.law.compiling import compiled, inner
+from manip_sim.control.law.records import SMOOTHING_S
+from manip_sim.control.law.small_matrices import clip
+from manip_sim.control.law.streams import come_to, forget_stream, take_waiting, velocities_at
+from manip_sim.physics.physics import WorldArrays
+
+#: Least acceleration of a ramp [rad/s^2 or m/s^2].
+_LEAST_SLOPE = 1e-9
 #: A setpoint that is slower and nearer to its goal than this has arrived [rad or m, and per s].
 ARRIVED = 1e-10
+
+
+@compiled
+def set_velocity(joints: Any, indices: IntArray, velocity: FloatArray) -> None:
+    """
+    Let setpoints come to velocities with their acceleration limits.
+
+    :param joints: records, shape (n,)
+    :param indices: of those that do, shape (k,)
+    :param velocity: [rad/s or m/s], shape (k,)
+    """
+    for k in range(len(indices)):
+        x = joints[indices[k]]
+        come_to(x, velocity[k])
+        forget_stream(x)
+
+
+@compiled
+def ramp_to(joints: Any, indices: IntArray, velocity: FloatArray, duration: float,
+            limit: FloatArray) -> None:
+    """
+    Let setpoints come to velocities in a time, or later at a limit of the acceleration.
+
+    :param joints: records, shape (n,)
+    :param indices: of those that do, shape (k,)
+    :param velocity: [rad/s or m/s], shape (k,)
+    :param duration: the time [s]
+    :param limit: above the limits of the joints, which count if it is empty [rad/s^2 or m/s^2]
+    """
+    for k in range(len(indices)):
+        x = joints[indices[k]]
+        most = x.limit
+        if len(limit):
+            most, x.bound = limit[k], max(limit[k], x.bound)
+        come_to(x, velocity[k])
+        forget_stream(x)
+        x.slope = clip(abs(velocity[k] - x.velocity) / duration, _LEAST_SLOPE, most)
+
+
+@compiled
+def set_state(joints: Any, indices: IntArray, position: FloatArray, velocity: FloatArray) -> None:
+    """
+    Set setpoints, which come to rest from there; beyond an end of the range they stop at it.
+
+    :param joints: records, shape (n,)
+    :param indices: of those that are set, shape (k,)
+    :param position: [rad or m], shape (k,)
+    :param velocity: [rad/s or m/s], shape (k,)
+    """
+    for k in range(len(indices)):
+        _place(joints[indices[k]], position[k], velocity[k], 0.0)
+
+
+@inner
+def follow(joints: Any, indices: IntArray, motion: FloatArray) -> None:
+    """
+    Set setpoints from another source; beyond the range they rest at its end.
+
+    :param joints: records, shape (n,)
+    :param indices: of those that are set, shape (k,)
+    :param motion: their position, velocity and acceleration, shape (k, 3)
+    """
+    for k in range(len(indices)):
+        x, position = joints[indices[k]], motion[k, 0]
+        if x.low <= position <= x.high:
+            _place(x, position, motion[k, 1], motion[k, 2])
+        else:
+            _place(x, position, 0.0, 0.0)
+
+
+@inner
+def _place(x: Any, position: float, velocity: float, acceleration: float) -> None:
+    """Set a setpoint, which comes to rest from there."""
+    x.position = clip(position, x.low, x.high)
+    x.velocity = clip(velocity, 0.0 if position < x.low else -math.inf,
+                      0.0 if position > x.high else math.inf)
+    x.acceleration = acceleration
+    come_to(x, 0.0)
+    forget_stream(x)
 
 
 @inner
@@ -154,3 +238,80 @@ def advance(joints: Any, counts: IntArray, now: float, duration: float) -> bool:
             x.velocity = x.acceleration = 0.0
         moves = moves or x.moves != 0.0
     return moves
+
+
+@inner
+def drive_base(world: WorldArrays, servos: Any, setpoints: Any, base: IntArray, owned: IntArray,
+               twist: Any, now: float, duration: float) -> None:
+    """
+    Set velocities of the setpoints that a twist owns.
+
+    The twist is limited in the frame of the base: limits of single joints would let it slide
+    sideways.
+
+    :param servos: records of the robot, shape (n,)
+    :param setpoints: records of the robot, shape (n,), changed
+    :param base: the joints x, y and yaw of the base, shape (3,)
+    :param owned: which of these three the twist owns, shape (k,)
+    :param twist: along x and y [m/s] and about z [rad/s], records of ``MOTION``, shape (3,)
+    :param now: simulation time at the beginning of the interval [s]
+    :param duration: of the interval [s]
+    """
+    yaw, wanted = (
+        world.kinematics.positions[servos[base[2]].qpos], velocities_at(twist, now + duration))
+    velocity, limit = np.empty(3), np.empty(3)
+    if len(owned) == 3:
+        before, present = np.empty(3), np.empty(3)
+        for i in range(3):
+            before[i], limit[i] = setpoints[base[i]].velocity, setpoints[base[i]].limit
+        _turn(before, -yaw, present)
+        ahead = _approach(present, wanted, limit, duration)
+        _turn(ahead, yaw + (present[2] + ahead[2]) / 2.0 * duration, velocity)
+        for i in range(3):
+            limit[i] = max(limit[i], abs(velocity[i] - before[i]) / duration)
+    else:
+        _turn(wanted, yaw, velocity)
+        for i in range(3):
+            limit[i] = setpoints[base[i]].limit
+    indices = np.empty(len(owned), np.int64)
+    speeds, most = np.empty(len(owned)), np.empty(len(owned))
+    for i in range(len(owned)):
+        indices[i], speeds[i], most[i] = base[owned[i]], velocity[owned[i]], limit[owned[i]]
+    ramp_to(setpoints, indices, speeds, duration, most)
+
+
+@inner
+def _turn(twist: FloatArray, yaw: float, turned: FloatArray) -> None:
+    """Write a twist along x and y and about z in a frame that is turned by minus ``yaw``."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    turned[0] = cos * twist[0] - sin * twist[1]
+    turned[1] = sin * twist[0] + cos * twist[1]
+    turned[2] = twist[2]
+
+
+@inner
+def _length(x: float, y: float) -> float:
+    return math.sqrt(x * x + y * y)
+
+
+@inner
+def _approach(present: FloatArray, wanted: FloatArray, limit: FloatArray, duration: float
+              ) -> FloatArray:
+    """
+    Return the twist after an interval, on the straight line from the present to the wanted one.
+
+    With the acceleration of turning, that of the slide joints stays within their limit, or within
+    twice the acceleration of turning if that is more.
+    """
+    linear = min(limit[0], limit[1])
+    turning = _length(present[0], present[1]) * abs(present[2])
+    higher = max(linear, 2.0 * turning)
+    most = min(linear, math.sqrt(higher * higher - turning * turning)) * duration
+    twist = np.empty(3)
+    along, aside = wanted[0] - present[0], wanted[1] - present[1]
+    distance = _length(along, aside)
+    share = most / distance if distance > most else 1.0
+    twist[0], twist[1] = present[0] + share * along, present[1] + share * aside
+    turn = limit[2] * duration
+    twist[2] = present[2] + clip(wanted[2] - present[2], -turn, turn)
+    return twist

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.law.compiling import inlined, inner
-from manip_sim.control.law.joint_records import PLAIN
+from manip_sim.control.law.records import PLAIN
 from manip_sim.control.law.seat import exert_all, feel_all
 from manip_sim.physics.physics import Addresses
 
