@@ -11,6 +11,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from manip_sim.arrays import IntArray
+from manip_sim.control.robot_runs import RobotRun
 from manip_sim.errors import DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON

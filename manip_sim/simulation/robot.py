@@ -26,6 +26,7 @@ from manip_sim.control.gripper_controller import GripperController
 from manip_sim.control.joint_controller import JointController
 from manip_sim.control.modes import Law, law_of, MODES, POSITION
 from manip_sim.control.reflexes import Reflexes
+from manip_sim.control.robot_runs import RobotRuns
 from manip_sim.control.seats import LawParameters
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.models.robots import RobotModel

@@ -21,7 +21,6 @@ from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.physics.physics import EPOCH, STEPS
 from manip_sim.quoting import format_value
 from manip_sim.simulation import SimulatedRobot
-from manip_sim.simulation.compiled_period import renew, renew_actions, renew_grips
 from manip_sim.validation import clamp, command_numbers
 
 #: So many streams of a robot are known at most.
@@ -188,6 +187,7 @@ class Commands(RowByRow):
             self._apply(lambda robot, world: [robot.parse.action(part, numbers[world])], where,
                         period_s)
             return
+        from manip_sim.control.law.period import renew_grips  # It imports numba.
         number = [*grippers].index(part)
 
         def renew(going_on: GoingOn, worlds: IntArray, _: IntArray) -> None:
@@ -280,6 +280,7 @@ class Commands(RowByRow):
             steps = self._table[:, STEPS][worlds]
             shares = [(worlds[steps == period], period * self._timestep_s)
                       for period in dict.fromkeys(steps.tolist())]
+        from manip_sim.control.law.period import renew  # It imports numba.
         for share, length_s in shares:
             renew(self._table, stream.going_on.robots, share, stream.one.indices, values,
                   length_s, stream.velocities)
@@ -476,6 +477,7 @@ class CartesianCommands(RowByRow):
             self._apply(lambda robot, world: [robot.parse_cartesian.action(arm, numbers[world])],
                         mask, period_s)
             return
+        from manip_sim.control.law.period import renew_actions  # It imports numba.
 
         def renew(going_on: GoingOn, worlds: IntArray, indices: IntArray) -> None:
             renew_actions(self._table, going_on.robots, worlds, indices, numbers)
