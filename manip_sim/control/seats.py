@@ -20,7 +20,6 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.cartesian.kinematic_chains import Arms, Payloads
 from manip_sim.control.law.records import PLAIN
 from manip_sim.control.modes import COSTLY, FILLS, Law
-from manip_sim.control.payloads import Payloads
 from manip_sim.control.servos import Servos
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError

@@ -18,7 +18,7 @@ from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.state_dependent_terms import FloatingBases, SpringForces
 from manip_sim.simulation.compiled_period import (
-    CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS, RobotRun)
+    CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS)
 from manip_sim.simulation.robot import SimulatedRobot
 
 #: Longest interval in which moving setpoints are linear [s].

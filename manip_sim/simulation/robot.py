@@ -35,7 +35,6 @@ from manip_sim.physics.efforts import ActuatorEfforts
 from manip_sim.physics.parts import atomic_parts, find_parts, Part
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.physics import Physics, STEPS
-from manip_sim.simulation.compiled_period import RobotRuns
 from manip_sim.simulation.faults import RobotFaults
 from manip_sim.simulation.robot_state import joint_dynamics, JointDynamics, RobotReader, State
 from manip_sim.validation import positive_number

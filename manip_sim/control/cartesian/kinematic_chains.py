@@ -191,8 +191,8 @@ class Payloads:
         return self._derived.made_of(_loads_of, self.loads, indices)
 
     def _make_loads(self, _: WorldArrays, *payloads: Payload) -> Any:
-        from manip_sim.control.law.joint_records import readable
         from manip_sim.control.law.loads import LOAD, Loads  # It imports numba.
+        from manip_sim.control.law.records import readable
         model, data = self._physics.model, self._physics.data
         carried = [(payload, reader.external.site) for payload, reader in zip(
             payloads, self._readers.values()) if payload.mass]
