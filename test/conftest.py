@@ -30,11 +30,9 @@ from robot_kinds import KINDS
 from sampling import whole_robot
 
 from manip_sim.control.modes import LAWS
-from manip_sim.models.arenas.arena import ARENAS
-from manip_sim.models.bases import RethinkMount
-from manip_sim.models.bases.robot_base_model import BASES
-from manip_sim.models.grippers import GripperModel, PandaGripper
-from manip_sim.models.grippers.gripper_model import GRIPPERS
+from manip_sim.models.arenas import ARENAS
+from manip_sim.models.bases import BASES, RethinkMount
+from manip_sim.models.grippers import GripperModel, GRIPPERS, PandaGripper
 from manip_sim.models.robots import ManipulatorModel, Panda, RobotModel
 from manip_sim.models.robots.robot_model import ROBOTS
 from manip_sim.models.world import World

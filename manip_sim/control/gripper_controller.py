@@ -24,8 +24,7 @@ from manip_sim.control.law.records import (
     TURNED)
 from manip_sim.derived import Derived
 from manip_sim.errors import ModelError
-from manip_sim.models.grippers import GripperModel
-from manip_sim.models.grippers.gripper_model import ActionRule
+from manip_sim.models.grippers import ActionRule, GripperModel
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 

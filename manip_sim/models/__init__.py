@@ -8,11 +8,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, TYPE_CHECKING
 
-from manip_sim.models.arenas import Arena, arena_names, arena_parameters, create_arena
-from manip_sim.models.arenas.arena import ARENAS
-from manip_sim.models.bases.robot_base_model import BASES
+from manip_sim.models.arenas import Arena, arena_names, arena_parameters, ARENAS, create_arena
+from manip_sim.models.bases import BASES
 from manip_sim.models.composing import compose, compose_robot
-from manip_sim.models.grippers.gripper_model import GRIPPERS
+from manip_sim.models.grippers import GRIPPERS
 from manip_sim.models.object_creation import create_object, ObjectModel
 from manip_sim.models.registry import Registry, set_model_path
 from manip_sim.models.robots.robot_model import ROBOTS

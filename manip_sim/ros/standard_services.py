@@ -21,7 +21,7 @@ from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.interface.composition import spawn_files
 from manip_sim.models import arena_names, create_arena
-from manip_sim.models.arenas.arena import ARENAS
+from manip_sim.models.arenas import ARENAS
 from manip_sim.models.cameras import chosen_cameras
 from manip_sim.models.robots import robot_names
 from manip_sim.physics.entities import Box, EntityState, Sphere

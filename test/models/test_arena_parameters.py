@@ -10,8 +10,8 @@ import pytest
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose
 from manip_sim.models.arenas import (
-    Arena, arena_names, arena_parameters, BinsArena, create_arena, EmptyArena, TableArena)
-from manip_sim.models.arenas.arena import ArenaParameter
+    Arena, arena_names, arena_parameters, ArenaParameter, BinsArena, create_arena, EmptyArena,
+    TableArena)
 
 ALL = [(name, parameter) for name in arena_names() for parameter in arena_parameters(name)]
 

@@ -11,8 +11,7 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose_robot
-from manip_sim.models.bases import base_names, create_base, MobileBaseModel
-from manip_sim.models.bases.robot_base_model import BASES
+from manip_sim.models.bases import base_names, BASES, create_base, MobileBaseModel
 from manip_sim.models.grippers import create_gripper
 from manip_sim.models.robots import create_robot, PandaOmron, RobotModel
 from manip_sim.models.robots.robot_model import ROBOTS

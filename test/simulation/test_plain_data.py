@@ -19,7 +19,7 @@ import pytest
 from manip_sim.control.commands import CommandHandle, Status
 from manip_sim.errors import ModelError
 from manip_sim.models import compose
-from manip_sim.models.grippers.catalogue_grippers import PandaGripper
+from manip_sim.models.grippers import PandaGripper
 from manip_sim.physics.payload import Payload
 from manip_sim.physics.robot_frames import Frame
 from manip_sim.simulation import Simulation

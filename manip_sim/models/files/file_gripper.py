@@ -25,7 +25,7 @@ from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import (
     FrameDescription, GripperDescription, HandDescription, OwnHandDescription)
 from manip_sim.models.files.xacro_expansion import stem_of
-from manip_sim.models.grippers.gripper_model import add_standard_elements, GripperModel
+from manip_sim.models.grippers import add_standard_elements, GripperModel
 from manip_sim.models.loading import compile_copy
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import (

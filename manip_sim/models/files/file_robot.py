@@ -31,9 +31,9 @@ from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.files.scenery import MocapBodies
 from manip_sim.models.files.xacro_expansion import stem_of
-from manip_sim.models.grippers.gripper_model import GripperModel
+from manip_sim.models.grippers import GripperModel
 from manip_sim.models.loading import compile_copy, compile_without_meshes
-from manip_sim.models.robots.manipulator_model import ManipulatorModel
+from manip_sim.models.robots import ManipulatorModel
 from manip_sim.models.robots.robot_model import Placement, RobotModel
 from manip_sim.models.spec_edits import add_body_at, find_place, free_name, weld_joints
 from manip_sim.models.user_files import Files
