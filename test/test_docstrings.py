@@ -91,7 +91,7 @@ def test_every_argument_that_is_described_is_there_in_all_modules():
 def test_there_are_functions_to_look_at():
     names = {name.removeprefix('manip_sim.') for name, _, _ in functions()}
     assert len(names) > 100
-    assert {'models.composing.compose', 'models.robots.robot_model.RobotModel.set_joint_attribute',
+    assert {'models.world.compose', 'models.robots.robot_model.RobotModel.set_joint_attribute',
             'models.robots.robot_model.RobotModel.add_base',
             'simulation.robot.SimulatedRobot.apply'} <= names
 

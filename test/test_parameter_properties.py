@@ -24,9 +24,9 @@ from manip_sim.interface.parameters import (  # noqa: E402
     wrench_parameters)
 from manip_sim.interface.topics import Scope  # noqa: E402
 from manip_sim.models.cameras import create_camera  # noqa: E402
-from manip_sim.models.composing import read_gripper  # noqa: E402
 from manip_sim.models.object_creation import create_object  # noqa: E402
 from manip_sim.models.user_files import parse_yaml  # noqa: E402
+from manip_sim.models.world import read_gripper  # noqa: E402
 
 SCOPE = Scope()
 SPECS = [*node_parameters(), *composition_parameters(SCOPE),

@@ -20,7 +20,8 @@ from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.records import FINGER, readable
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError, ModelError
-from manip_sim.models.actuators import declared_velocity, JointCouplings, position_servos
+from manip_sim.models.actuators import declared_velocity, position_servos
+from manip_sim.models.couplings import JointCouplings
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics
 

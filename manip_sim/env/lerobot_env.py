@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from manip_sim.env.task_env import TaskEnv
-from manip_sim.models.composing import Robot
+from manip_sim.models.world import Robot
 from manip_sim.tasks.observation import CameraLike, IMAGE, Observation
 from manip_sim.validation import whole_number
 

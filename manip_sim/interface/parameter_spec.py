@@ -15,10 +15,10 @@ from typing import Any, Protocol
 from manip_sim.control.reflexes import ReflexLimits
 from manip_sim.errors import describe_choices, ModelError, ParameterError
 from manip_sim.interface.topics import Scope
-from manip_sim.models.composing import read_gripper
 from manip_sim.models.registry import find_source, is_path
 from manip_sim.models.robots.robot_model import SUBSYSTEMS
 from manip_sim.models.user_files import read_yaml, StrictLoader
+from manip_sim.models.world import read_gripper
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted, quoted_names
 

@@ -18,7 +18,7 @@ from manip_sim.models.arenas import arena_names, arena_parameters, ArenaParamete
 from manip_sim.models.bases import base_names
 from manip_sim.models.cameras import ImageSettings
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.placements import TYPES
+from manip_sim.models.randomization import TYPES
 from manip_sim.models.robots import robot_names
 from manip_sim.models.urdf_writer import PLUGINS, TOPIC_PLUGIN
 from manip_sim.physics.parts import Part

@@ -10,13 +10,12 @@ from typing import Any, TYPE_CHECKING
 
 from manip_sim.models.arenas import Arena, arena_names, arena_parameters, ARENAS, create_arena
 from manip_sim.models.bases import BASES
-from manip_sim.models.composing import compose, compose_robot
 from manip_sim.models.grippers import GRIPPERS
 from manip_sim.models.object_creation import create_object, ObjectModel
 from manip_sim.models.registry import Registry, set_model_path
 from manip_sim.models.robots.robot_model import ROBOTS
 from manip_sim.models.urdf_writer import urdf_of
-from manip_sim.models.world import World
+from manip_sim.models.world import compose, compose_robot, World
 
 if TYPE_CHECKING:
     from manip_sim.models.files import load_arena, load_base, load_gripper, load_robot

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 import codecs
+from collections.abc import Mapping
 import hashlib
 import io
 from pathlib import Path, PurePosixPath
@@ -19,8 +19,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.errors import ModelError
-from manip_sim.models.loading import compile_spec, spec_from_documents
-from manip_sim.models.mjcf_versions import Document
+from manip_sim.models.loading import compile_spec, Document, spec_from_documents
 from manip_sim.models.untrusted_models import run_limited
 from manip_sim.models.user_files import read_file
 from manip_sim.quoting import one_line, quoted

@@ -19,8 +19,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import SPAWNED_SUFFIXES
-from manip_sim.models.loading import compile_spec, load_spec, spec_from_documents
-from manip_sim.models.mjcf_versions import Document
+from manip_sim.models.loading import compile_spec, Document, load_spec, spec_from_documents
 from manip_sim.models.object_model import FixtureModel, ObjectModel, PlacedModel, SHAPE_GEOM
 from manip_sim.models.registry import find_source, is_of_others
 from manip_sim.models.untrusted_models import load_self_contained, SelfContainedModel

@@ -32,10 +32,8 @@ import mujoco
 
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_suffix, places, references
-from manip_sim.models.loading import compile_spec, spec_from_documents
-from manip_sim.models.mjcf_versions import Document, documents_of
-from manip_sim.models.user_files import CachedFiles, Files
-from manip_sim.models.xml_model import AssetFolders, XmlModel
+from manip_sim.models.loading import compile_spec, Document, documents_of, spec_from_documents
+from manip_sim.models.user_files import AssetFolders, CachedFiles, Files, XmlModel
 from manip_sim.quoting import one_line, quoted
 from manip_sim.startup import spare_garbage
 
@@ -271,6 +269,7 @@ def main() -> None:
     gc.disable()  # It is too short for it.
     # No file can be opened later, and numpy imports this only when it is used.
     import numpy.random  # noqa: F401
+
     # By the function above, so that it can be trusted.
     cpu_s, memory, function, arguments = pickle.loads(sys.stdin.buffer.read())  # noqa: S301
     descriptions = sys.modules.get('manip_sim.models.descriptions')

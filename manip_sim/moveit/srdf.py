@@ -17,6 +17,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.models import World
 from manip_sim.models.actuators import JointCouplings, SCALAR
+from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer import Urdf

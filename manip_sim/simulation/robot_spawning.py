@@ -22,13 +22,12 @@ from manip_sim.models import compose_robot
 from manip_sim.models.actuators import add_setpoint_activation, position_servos_without_dynamics
 from manip_sim.models.arenas import Arena
 from manip_sim.models.bases import base_names
-from manip_sim.models.composing import DEFAULT, NONE
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_model import ObjectModel
 from manip_sim.models.registry import is_path
 from manip_sim.models.robots import robot_names, RobotModel
-from manip_sim.models.user_files import AllowedRoots, InMemoryFile
-from manip_sim.models.world import compensate_free_robots, World
+from manip_sim.models.user_files import AllowedRoots, InMemoryFile, split_arguments, stem_of
+from manip_sim.models.world import compensate_free_robots, DEFAULT, NONE, World
 from manip_sim.physics.object_spawning import ElementMap, plan_world, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import format_value
@@ -234,8 +233,6 @@ class RequestedRobot:
     @property
     def name(self) -> str:
         """The name that it gives itself, or what kind of robot it is."""
-        # These files need pydantic, whose import would make each start longer.
-        from manip_sim.models.files.xacro_expansion import split_arguments, stem_of
         named: str = self._values[self.KEY]
         default_name = named if self._given is None else stem_of(Path(split_arguments(named)[0]))
         name: str = self._values.get('name', default_name)

@@ -12,7 +12,7 @@ import mujoco
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models.arenas import EmptyArena
-from manip_sim.models.placements import checked_seed
+from manip_sim.models.randomization import checked_seed
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.world import World
 from manip_sim.physics.clock import Clock

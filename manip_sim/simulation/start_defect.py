@@ -16,6 +16,8 @@ from manip_sim.arrays import BoolArray
 from manip_sim.models.actuators import (
     actuated_joints, effort_range, JointCouplings, joints_between, moved_joints, position_servos,
     SCALAR)
+from manip_sim.models.couplings import (
+    actuated_joints, JointCouplings, joints_between, moved_joints)
 from manip_sim.models.robots.robot_model import driven_joint
 from manip_sim.quoting import quoted_names
 

@@ -25,10 +25,10 @@ from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError
-from manip_sim.models.composing import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.faults import FaultPlan
 from manip_sim.models.placements import checked_seed
-from manip_sim.models.randomization import Randomization
+from manip_sim.models.randomization import checked_seed, Randomization
+from manip_sim.models.world import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.quoting import format_value
 from manip_sim.sensing.robot_sensing import Delay, ROUNDING
 from manip_sim.simulation import Simulation

@@ -18,9 +18,9 @@ from manip_sim.arrays import FloatArray
 from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import ModelError
 from manip_sim.models import Arena, create_arena, World
-from manip_sim.models.composing import compose_robot, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.object_creation import Description
+from manip_sim.models.world import compose_robot, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.simulation import SimulatedRobot, Simulation
 from manip_sim.tasks.expert import Expert, Hold, pointing_down, sides

@@ -15,13 +15,12 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
-from manip_sim.models.composing import compose, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.models.faults import FaultPlan
 from manip_sim.models.object_creation import Description
 from manip_sim.models.randomization import Randomization
 from manip_sim.models.registry import Registry
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
-from manip_sim.models.world import World
+from manip_sim.models.world import compose, DEFAULT, Gripper, Grippers, Robot, World
 from manip_sim.quoting import pluralize
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert

@@ -29,7 +29,7 @@ from manip_sim.errors import (
     CommandError, DivergenceError, ModelError, SimulationEnded, UnknownNameError)
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.placements import checked_seed
+from manip_sim.models.randomization import checked_seed
 from manip_sim.models.world import World
 from manip_sim.physics.physics import BECAME, ENDED, WENT_ON
 from manip_sim.simulation import Simulation, SimulationState

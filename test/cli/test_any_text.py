@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st  # noqa: E402
 
 from manip_sim.cli.run import _noise  # noqa: E402
 from manip_sim.errors import ManipSimError  # noqa: E402
-from manip_sim.models.files.xacro_expansion import expanded  # noqa: E402
+from manip_sim.models.files.ros_packages import expanded  # noqa: E402
 from manip_sim.models.randomization import Randomization  # noqa: E402
 from manip_sim.tasks import create_task  # noqa: E402
 

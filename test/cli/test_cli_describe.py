@@ -157,7 +157,7 @@ def test_a_tendon_drives_all_its_joints(fingers_sim):
                 '<tendon><fixed name="t"><joint joint="left" coef="1"/><joint joint="right" '
                 'coef="1"/></fixed></tendon>', coupled=False, before=made.append)
     from manip_sim.cli.describe import actuator_rows
-    from manip_sim.models.actuators import actuated_joints
+    from manip_sim.models.couplings import actuated_joints
     model = made[0].compile()
     row, = actuator_rows(model, {'gripper0_pull': 'right/gripper'})
     assert (row['drives'], row['target']) == ('tendon', 'gripper0_t')

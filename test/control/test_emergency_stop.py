@@ -9,9 +9,8 @@ import pytest
 from manip_sim.control.commands import Status
 from manip_sim.errors import CommandError
 from manip_sim.models import compose
-from manip_sim.models.composing import compose_robot
 from manip_sim.models.robots import robot_names
-from manip_sim.models.world import World
+from manip_sim.models.world import compose_robot, World
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.journal_entries import Operations
 

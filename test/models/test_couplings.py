@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from manip_sim.models.actuators import actuated_joints, JointCouplings, moved_joints
+from manip_sim.models.couplings import actuated_joints, JointCouplings, moved_joints
 
 
 def couplings(*equalities, count=4):

@@ -13,10 +13,9 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose, load_robot
-from manip_sim.models.files.xacro_expansion import split_arguments
 from manip_sim.models.registry import is_path
 from manip_sim.models.untrusted_models import load_self_contained
-from manip_sim.models.user_files import AllowedRoots
+from manip_sim.models.user_files import AllowedRoots, split_arguments
 
 xacro = pytest.importorskip('xacro', reason='xacro is not installed')
 

@@ -8,7 +8,7 @@ import pytest
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot
-from manip_sim.models.placements import InitializationNoise
+from manip_sim.models.randomization import InitializationNoise
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
 

@@ -15,7 +15,7 @@ from manip_sim.errors import ModelError
 from manip_sim.models import load_robot
 from manip_sim.models.arenas import create_arena
 from manip_sim.models.files.requested_robot import load_requested
-from manip_sim.models.mjcf_versions import _ATTRIBUTES, _ELEMENTS
+from manip_sim.models.loading import _ATTRIBUTES, _ELEMENTS
 from manip_sim.models.object_creation import create_object
 from manip_sim.models.user_files import AllowedRoots
 

@@ -12,8 +12,8 @@ from files_rig import write
 
 from manip_sim.errors import ModelError
 from manip_sim.models import load_robot
-from manip_sim.models.files.package_folders import PackageFolders
-from manip_sim.models.xml_model import declared_first
+from manip_sim.models.files.ros_packages import PackageFolders
+from manip_sim.models.user_files import declared_first
 
 xacro = pytest.importorskip('xacro', reason='xacro is not installed')
 

@@ -16,9 +16,9 @@ import pytest
 import scipy
 
 from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
-from manip_sim.models import compose, create_object, load_arena, placements
+from manip_sim.models import compose, create_object, load_arena, randomization
 from manip_sim.models.arenas import TableArena
-from manip_sim.models.placements import draw_places, Extent, Placement, read_placements
+from manip_sim.models.randomization import draw_places, Extent, Placement, read_placements
 from manip_sim.models.user_files import AllowedRoots
 from manip_sim.models.world import World
 from manip_sim.simulation import Simulation
@@ -262,7 +262,7 @@ def test_a_reset_with_a_seed_that_leaves_no_room_changes_nothing(kitchen, monkey
     kitchen.advance(50)
     digest, drawn = kitchen.digest(), dict(kitchen.randomized.drawn)
     here = kitchen.data.qpos.copy()
-    monkeypatch.setattr(placements, '_TRIES', 0)
+    monkeypatch.setattr(randomization, '_TRIES', 0)
     with pytest.raises(ModelError, match='no room for'):
         kitchen.reset(seed=8)
     assert (kitchen.seed, kitchen.randomized.drawn, kitchen.digest()) == (7, drawn, digest)

@@ -23,10 +23,9 @@ from manip_sim.errors import (
 from manip_sim.laws import law, LAWS
 from manip_sim.models import compose
 from manip_sim.models.arenas import create_arena
-from manip_sim.models.composing import compose_robot, DEFAULT
 from manip_sim.models.grippers import PandaGripper, WipingGripper
 from manip_sim.models.object_creation import create_object
-from manip_sim.models.world import World
+from manip_sim.models.world import compose_robot, DEFAULT, World
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import commands, Worlds

@@ -26,7 +26,7 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.object_model import FixtureModel, ObjectModel, SHAPE_GEOM
-from manip_sim.models.placements import Placement
+from manip_sim.models.randomization import Placement
 from manip_sim.models.registry import check_no_parameters, import_submodules, Registry
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import begin_like, TakenNames

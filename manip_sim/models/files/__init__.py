@@ -17,20 +17,19 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import Arena, create_arena, EmptyArena
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
-from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.file_gripper import FileGripper
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot, plan_robot
-from manip_sim.models.files.model_file import keyframes_of, ModelFile, read_model, shape_heights
+from manip_sim.models.files.model_file import (
+    keyframes_of, ModelFile, own_each_joint, read_model, shape_heights)
 from manip_sim.models.files.part_descriptions import (
     ArenaDescription, BaseDescription, find_model, GripperDescription, RobotDescription)
-from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.loading import compile_copy, compile_spec, load_spec, name_unnamed_elements
 from manip_sim.models.object_creation import (
     check_object_names, create_described, FixtureModel, load_objects, ObjectModel)
-from manip_sim.models.placements import check_placed, read_placements
+from manip_sim.models.randomization import check_placed, read_placements
 from manip_sim.models.robots.robot_model import RobotModel
-from manip_sim.models.user_files import YAML_SUFFIXES
+from manip_sim.models.user_files import stem_of, YAML_SUFFIXES
 from manip_sim.quoting import pluralize, quoted
 
 #: A base whose lowest point is at most so far from z = 0 stands on the floor [m].

@@ -18,18 +18,18 @@ from manip_sim.algebra import length, product, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.fingers import (
-    Closings, control_range, digest_of, Fingers, integrates, once, UNLIMITED)
-from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
+from manip_sim.models.files.found_hands import (
+    Closings, control_range, digest_of, Fingers, FoundHand, hands_of_hand, integrates, once,
+    UNLIMITED)
 from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import (
     FrameDescription, GripperDescription, HandDescription, OwnHandDescription)
-from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.grippers import add_standard_elements, GripperModel
 from manip_sim.models.loading import compile_copy
 from manip_sim.models.robots.robot_model import RobotModel
 from manip_sim.models.spec_edits import (
     add_body_at, delete_elements, find_place, free_name, quat_wxyz_of)
+from manip_sim.models.user_files import stem_of
 from manip_sim.quoting import quoted_names
 
 #: Fingers that reach less far give no direction [m].

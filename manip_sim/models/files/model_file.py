@@ -1,14 +1,18 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Read a model file, MJCF or URDF, for the first time: one tree, named, with a start pose."""
+"""
+Read a model file, MJCF or URDF, for the first time: one tree, named, with a start pose.
+
+Each joint has at most one actuator; efforts that are too low can be guessed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Union
+from typing import Any, Union
 from xml.etree import ElementTree
 
 import mujoco
@@ -16,120 +20,21 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models.actuators import JointCouplings, SCALAR
+from manip_sim.models.actuators import JOINT_TRANSMISSIONS, position_servos, SCALAR
+from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.asset_files import infer_inertias_once
-from manip_sim.models.files.actuation import add_servos, guess_efforts, report_efforts
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.part_descriptions import Description
 from manip_sim.models.files.scenery import (
     find_mocap_bodies, leave_out_dangling, MocapBodies, single_tree, touch_other_files)
-from manip_sim.models.files.urdf import is_urdf, lighten, load_urdf, masses_from_shapes
+from manip_sim.models.files.urdf import (
+    greatest_weight, is_urdf, lighten, load_urdf, masses_from_shapes)
 from manip_sim.models.files.urdf_joints import support_couplings
-from manip_sim.models.files.xacro_expansion import stem_of
 from manip_sim.models.loading import (
     compile_alone, compile_copy, leave_out_visual, load_spec, name_unnamed_elements)
 from manip_sim.models.untrusted_models import load_self_contained
-from manip_sim.models.user_files import Files
-from manip_sim.quoting import one_line, pluralize, quoted
-
-#: A joint that is nearer to an end than this fraction of its range is at that end.
-_AT_END = 0.05
-#: Distance by which a joint at an end is moved, as a fraction of its range.
-_INSIDE = 0.25
-#: A pose is only better if the overlap of links is less by this much [m].
-_BETTER_M = 1e-3
-#: Positions that differ by less are the same [rad or m].
-_SAME = 1e-6
-#: A robot that starts farther below the floor than this is raised to it [m].
-_BELOW_FLOOR_M = 0.05
-#: A moving shape of a robot whose root is fixed touches the floor if it is lower than this, and is
-#: raised to the other [m].
-_TOUCHES_FLOOR_M, _ABOVE_FLOOR_M = 1e-6, 1e-3
-#: Links that are nearer to each other than this touch [m].
-_TOUCHING_M = 1e-4
-#: Links of a URDF that overlap by more than this at the start are drawn so [m].
-_OVERLAPPING_M = 1e-3
-
-
-def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
-    """
-    Return a pose with joints inside their ranges and little overlap of links.
-
-    Three are tried: zero, with the middle of the range for joints that cannot be at zero; zero,
-    with joints moved away from the ends of their ranges; and the middle of all ranges. The first
-    one is taken unless another one has less overlap.
-
-    :returns: ``qpos``, shape (nq,), and the changes, in sentences
-    """
-    zero, moved, _ = _with(model, lambda value, low, high: value if low <= value <= high
-                           else (low + high) / 2.0)
-    notes = [f'start pose: zero, and the middle of the range for {", ".join(moved)}'
-             if moved else 'start pose: zero']
-    best, overlap = zero, _overlap(model, zero)
-    for choose, wording in (
-            (_away_from_ends, 'zero, with joints away from the ends of their ranges'),
-            (lambda value, low, high: (low + high) / 2.0, 'the middle of all ranges')):
-        if overlap > 0.0:
-            pose, _, possible = _with(model, choose)
-            if possible and _overlap(model, pose) < overlap - _BETTER_M:
-                best, overlap, notes = pose, _overlap(model, pose), [
-                    f'start pose: {wording}, because links overlap at zero']
-    return best, notes
-
-
-def _away_from_ends(value: float, low: float, high: float) -> float:
-    span = high - low
-    if value < low + _AT_END * span:
-        return low + _INSIDE * span
-    if value > high - _AT_END * span:
-        return high - _INSIDE * span
-    return value
-
-
-def _with(model: mujoco.MjModel, choose: Callable[[float, float, float], float]
-          ) -> tuple[FloatArray, list[str], bool]:
-    """
-    Return a pose with limited joints where a function puts them.
-
-    Joints that others drive follow them, but not out of their ranges.
-
-    :returns: ``qpos``, names of those that the function moved, and whether all could follow
-    """
-    scalar = [joint for joint in range(model.njnt) if int(model.jnt_type[joint]) in SCALAR]
-    places = {joint: float(model.qpos0[model.jnt_qposadr[joint]]) for joint in scalar}
-    moved = []
-    for joint in scalar:
-        if model.jnt_limited[joint]:
-            before = places[joint]
-            places[joint] = choose(before, *map(float, model.jnt_range[joint]))
-            if places[joint] != before:
-                moved.append(str(model.joint(joint).name))
-    ties = np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
-                          & (model.eq_active0 != 0) & (model.eq_obj2id >= 0))
-    followers = set(model.eq_obj1id[ties].tolist())
-    followed = JointCouplings(model, scalar).follow(
-        {joint: place for joint, place in places.items() if joint not in followers})
-    possible = True
-    for joint in followers & set(followed):
-        limits = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
-        places[joint] = float(np.clip(followed[joint], *limits))
-        possible = possible and abs(places[joint] - followed[joint]) < _SAME
-    qpos: FloatArray = model.qpos0.copy()
-    qpos[model.jnt_qposadr[list(places)]] = list(places.values())
-    return qpos, moved, possible
-
-
-def _overlap(model: mujoco.MjModel, qpos: FloatArray) -> float:
-    """Return the sum of the penetration depths of pairs of bodies, without the world [m]."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    deepest: dict[tuple[int, ...], float] = {}
-    for contact in data.contact:
-        if min(contact.geom) >= 0:
-            pair = tuple(sorted(model.geom_bodyid[contact.geom].tolist()))
-            deepest[pair] = max(deepest.get(pair, 0.0), -float(contact.dist))
-    return float(np.sum([depth for (first, _), depth in deepest.items() if first]))
+from manip_sim.models.user_files import Files, stem_of
+from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 
 
 @dataclass
@@ -477,3 +382,328 @@ def disabled_pairs(file: Path, files: Files) -> tuple[set[tuple[str, str]], list
         return set(), [f'{quoted(srdf.name)} is ignored: {one_line(str(error))}']
     return {_key(pair.get('link1', ''), pair.get('link2', ''))
             for pair in root.iter('disable_collisions')}, []
+
+
+#: A joint that is nearer to an end than this fraction of its range is at that end.
+_AT_END = 0.05
+#: Distance by which a joint at an end is moved, as a fraction of its range.
+_INSIDE = 0.25
+#: A pose is only better if the overlap of links is less by this much [m].
+_BETTER_M = 1e-3
+#: Positions that differ by less are the same [rad or m].
+_SAME = 1e-6
+#: A robot that starts farther below the floor than this is raised to it [m].
+_BELOW_FLOOR_M = 0.05
+#: A moving shape of a robot whose root is fixed touches the floor if it is lower than this, and is
+#: raised to the other [m].
+_TOUCHES_FLOOR_M, _ABOVE_FLOOR_M = 1e-6, 1e-3
+#: Links that are nearer to each other than this touch [m].
+_TOUCHING_M = 1e-4
+#: Links of a URDF that overlap by more than this at the start are drawn so [m].
+_OVERLAPPING_M = 1e-3
+
+
+def choose_pose(model: mujoco.MjModel) -> tuple[FloatArray, list[str]]:
+    """
+    Return a pose with joints inside their ranges and little overlap of links.
+
+    Three are tried: zero, with the middle of the range for joints that cannot be at zero; zero,
+    with joints moved away from the ends of their ranges; and the middle of all ranges. The first
+    one is taken unless another one has less overlap.
+
+    :returns: ``qpos``, shape (nq,), and the changes, in sentences
+    """
+    zero, moved, _ = _with(model, lambda value, low, high: value if low <= value <= high
+                           else (low + high) / 2.0)
+    notes = [f'start pose: zero, and the middle of the range for {", ".join(moved)}'
+             if moved else 'start pose: zero']
+    best, overlap = zero, _overlap(model, zero)
+    for choose, wording in (
+            (_away_from_ends, 'zero, with joints away from the ends of their ranges'),
+            (lambda value, low, high: (low + high) / 2.0, 'the middle of all ranges')):
+        if overlap > 0.0:
+            pose, _, possible = _with(model, choose)
+            if possible and _overlap(model, pose) < overlap - _BETTER_M:
+                best, overlap, notes = pose, _overlap(model, pose), [
+                    f'start pose: {wording}, because links overlap at zero']
+    return best, notes
+
+
+def _away_from_ends(value: float, low: float, high: float) -> float:
+    span = high - low
+    if value < low + _AT_END * span:
+        return low + _INSIDE * span
+    if value > high - _AT_END * span:
+        return high - _INSIDE * span
+    return value
+
+
+def _with(model: mujoco.MjModel, choose: Callable[[float, float, float], float]
+          ) -> tuple[FloatArray, list[str], bool]:
+    """
+    Return a pose with limited joints where a function puts them.
+
+    Joints that others drive follow them, but not out of their ranges.
+
+    :returns: ``qpos``, names of those that the function moved, and whether all could follow
+    """
+    scalar = [joint for joint in range(model.njnt) if int(model.jnt_type[joint]) in SCALAR]
+    places = {joint: float(model.qpos0[model.jnt_qposadr[joint]]) for joint in scalar}
+    moved = []
+    for joint in scalar:
+        if model.jnt_limited[joint]:
+            before = places[joint]
+            places[joint] = choose(before, *map(float, model.jnt_range[joint]))
+            if places[joint] != before:
+                moved.append(str(model.joint(joint).name))
+    ties = np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
+                          & (model.eq_active0 != 0) & (model.eq_obj2id >= 0))
+    followers = set(model.eq_obj1id[ties].tolist())
+    followed = JointCouplings(model, scalar).follow(
+        {joint: place for joint, place in places.items() if joint not in followers})
+    possible = True
+    for joint in followers & set(followed):
+        limits = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
+        places[joint] = float(np.clip(followed[joint], *limits))
+        possible = possible and abs(places[joint] - followed[joint]) < _SAME
+    qpos: FloatArray = model.qpos0.copy()
+    qpos[model.jnt_qposadr[list(places)]] = list(places.values())
+    return qpos, moved, possible
+
+
+def _overlap(model: mujoco.MjModel, qpos: FloatArray) -> float:
+    """Return the sum of the penetration depths of pairs of bodies, without the world [m]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    deepest: dict[tuple[int, ...], float] = {}
+    for contact in data.contact:
+        if min(contact.geom) >= 0:
+            pair = tuple(sorted(model.geom_bodyid[contact.geom].tolist()))
+            deepest[pair] = max(deepest.get(pair, 0.0), -float(contact.dist))
+    return float(np.sum([depth for (first, _), depth in deepest.items() if first]))
+
+
+#: Acceleration that a joint shall give its load beside the weight [rad/s^2 or m/s^2].
+_ACCELERATION = 5.0
+#: Share of a guessed limit that the weight and that acceleration need in the worst pose.
+_SHARE = 0.5
+#: Number of names that one sentence lists.
+_LISTED = 8
+
+
+def report_efforts(model: mujoco.MjModel, qpos: FloatArray) -> list[str]:
+    """Return which joints cannot hold a pose by their effort limits, and the remedy, in words."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    limited = np.flatnonzero(model.jnt_actfrclimited)
+    dofs = model.jnt_dofadr[limited]
+    needed = np.abs(data.qfrc_bias - data.qfrc_passive)[dofs]
+    weak = limited[needed > np.abs(model.jnt_actfrcrange[limited]).max(axis=1)]
+    if not len(weak):
+        return []
+    names = quoted_names([str(model.joint(joint).name) for joint in weak], _LISTED)
+    return [f'the effort limits of {pluralize(len(weak), "joint")} cannot hold the start pose: '
+            f'{names}; if they are placeholders, efforts: guess in a YAML file replaces those '
+            'that are too low']
+
+
+def guess_efforts(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
+    """
+    Replace effort limits that cannot carry the links in some pose, and accelerate them a little.
+
+    :param model: the spec, compiled
+    :returns: which limits, in a sentence
+    """
+    limited = np.flatnonzero(model.jnt_actfrclimited)
+    dofs = model.jnt_dofadr[limited]
+    needed = greatest_weight(model)[dofs] + _ACCELERATION * model.dof_M0[dofs]
+    replaced = []
+    for joint, effort in zip(limited.tolist(), needed.tolist()):
+        if effort > np.abs(model.jnt_actfrcrange[joint]).max():
+            name = str(model.joint(joint).name)
+            element: Any = spec.joint(name)
+            limit = float(f'{effort / _SHARE:.2g}')
+            before, element.actfrcrange = element.actfrcrange[1], [-limit, limit]
+            replaced.append(f'{name} {before:g} to {limit:g}')
+    return [f'effort limits are guesses where the file has less than the links weigh [N m or N]: '
+            f'{", ".join(replaced)}'] if replaced else []
+
+
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+#: Lag of an added servo [s]: damping over stiffness.
+_LAG_S = 0.013
+#: Acceleration that no robot's motor gives its own joint [rad/s^2 or m/s^2].
+_ABSURD_ACCELERATION = 5000.0
+#: A servo is stable at its force limit if its inertia over the damping is more than this [s].
+_DAMPED_S = 0.002 / 1.5
+#: Joints with a servo are not changed unless they are too light by more than this factor.
+_MUCH_TOO_LIGHT = 4.0
+#: Rotor inertia of an added servo [kg m^2 or kg]: this much per force, within limits.
+_ARMATURE_PER_FORCE, _ARMATURE = 0.01, (0.001, 0.1)
+
+
+def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[int]
+                   ) -> tuple[set[str], list[str]]:
+    """
+    Leave each joint at most one actuator, a motor or a servo.
+
+    An actuator of a fixed tendon over joints that equality constraints couple drives one of these
+    joints instead. Of several on one joint a position servo is kept. An actuator that is neither
+    motor nor servo of a joint is kept, but of no part. Too light joints get rotor inertia.
+
+    :param actuators: ids of the actuators, except in hands
+    :returns: names of the actuators that are of no part, and a sentence for each change
+    """
+    model, notes = tree.model, []
+    others: set[str] = set()
+    owner: dict[int, int] = {}
+    for actuator in sorted(actuators, key=lambda a: not _is_position_servo(model, a)):
+        name = str(model.actuator(actuator).name)
+        joint = _driven_joint(tree, actuator)
+        if joint is None and int(model.actuator_trntype[actuator]) == _TENDON:
+            joint = _drive_leader(spec, tree, actuator)
+            if joint is not None:
+                notes.append(f"actuator '{name}' drives joint '{model.joint(joint).name}' and "
+                             'those that are tied to it, not their tendon')
+        if joint is None or not _is_usable(model, actuator):
+            others.add(name)
+        elif joint in owner:
+            spec.delete(spec.actuator(name))
+            notes.append(f"actuator '{name}' is left out: joint '{model.joint(joint).name}' has "
+                         f"'{model.actuator(owner[joint]).name}'")
+        else:
+            owner[joint] = actuator
+    notes += _give_rotors(spec, model, owner)
+    if others:
+        notes.append(f"neither motors nor servos of one joint: actuators "
+                     f"{', '.join(sorted(others))}; 'actuators/command' moves them")
+    return others, notes
+
+
+def _give_rotors(spec: mujoco.MjSpec, model: mujoco.MjModel, owner: Mapping[int, int]
+                 ) -> list[str]:
+    """Give rotor inertia to joints that have none and are too light for their motor or servo."""
+    light = []
+    for joint, actuator in owner.items():
+        dof = int(model.jnt_dofadr[joint])
+        bias, gear = model.actuator_biasprm[actuator, :3], model.actuator_gear[actuator, 0]
+        if int(model.actuator_biastype[actuator]) == _AFFINE and bias.any():
+            # Otherwise such a servo would have to be softened to be stable at its force limit.
+            needed, times = _DAMPED_S * max(-bias[2], 0.0) * gear**2, _MUCH_TOO_LIGHT
+        else:
+            needed = _greatest_force(model, joint, actuator) / _ABSURD_ACCELERATION
+            times = 1.0
+        rotor = min(needed, _ARMATURE[1])
+        if not model.dof_armature[dof] and rotor > times * model.dof_M0[dof]:
+            spec.joint(model.joint(joint).name).armature = rotor
+            light.append(str(model.joint(joint).name))
+    return [f'rotor inertia added to joints that have none and are too light for their actuators: '
+            f'{", ".join(light)}'] if light else []
+
+
+def _greatest_force(model: mujoco.MjModel, joint: int, actuator: int) -> float:
+    gear, gain = abs(model.actuator_gear[actuator, 0]), abs(model.actuator_gainprm[actuator, 0])
+    limits = [np.inf]
+    if model.actuator_forcelimited[actuator]:
+        limits.append(gear * np.abs(model.actuator_forcerange[actuator]).max())
+    if model.actuator_ctrllimited[actuator]:
+        limits.append(gear * gain * np.abs(model.actuator_ctrlrange[actuator]).max())
+    if model.jnt_actfrclimited[joint]:
+        limits.append(np.abs(model.jnt_actfrcrange[joint]).max())
+    return float(min(limits))
+
+
+def _is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    return _is_usable(model, actuator) and bool(position_servos(model, actuator))
+
+
+def _is_usable(model: mujoco.MjModel, actuator: int) -> bool:
+    biases = (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE)
+    return (int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and int(model.actuator_plugin[actuator]) < 0
+            and int(model.actuator_biastype[actuator]) in biases)
+
+
+def _driven_joint(tree: BodyTree, actuator: int) -> int | None:
+    if int(tree.model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS:
+        return None
+    (joint,) = tree.driven(actuator)
+    return joint if tree.is_scalar(joint) else None
+
+
+def _drive_leader(spec: mujoco.MjSpec, tree: BodyTree, actuator: int) -> int | None:
+    """Make an actuator drive a joint that determines its tendon's length; return the joint."""
+    model = tree.model
+    tendon = int(model.actuator_trnid[actuator, 0])
+    first = int(model.tendon_adr[tendon])
+    wraps = range(first, first + int(model.tendon_num[tendon]))
+    if any(int(model.wrap_type[w]) != int(mujoco.mjtWrap.mjWRAP_JOINT) for w in wraps):
+        return None
+    coefficients = {int(model.wrap_objid[w]): float(model.wrap_prm[w]) for w in wraps}
+    for leader in coefficients:
+        ratios = _ratios(model, leader)
+        length = sum(coefficient * ratios[joint] for joint, coefficient in coefficients.items()
+                     if joint in ratios)
+        if set(coefficients) <= set(ratios) and length:
+            element = spec.actuator(model.actuator(actuator).name)
+            element.trntype = mujoco.mjtTrn.mjTRN_JOINT
+            element.target = str(model.joint(leader).name)
+            element.gear[0] *= length
+            return leader
+    return None
+
+
+def _ratios(model: mujoco.MjModel, leader: int) -> dict[int, float]:
+    """Return the velocity ratios of joints that are coupled to one linearly, itself included."""
+    ratios, waiting = {leader: 1.0}, [leader]
+    ties = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
+    while waiting:
+        joint = waiting.pop()
+        for tie in ties:
+            follower, other = int(model.eq_obj1id[tie]), int(model.eq_obj2id[tie])
+            constant = not model.eq_data[tie, 2:5].any() and model.eq_data[tie, 1]
+            if not constant:
+                continue
+            for driver, another, ratio in ((other, follower, model.eq_data[tie, 1]),
+                                           (follower, other, 1.0 / model.eq_data[tie, 1])):
+                if driver == joint and another >= 0 and another not in ratios:
+                    ratios[another] = ratios[joint] * float(ratio)
+                    waiting.append(another)
+    return ratios
+
+
+def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
+    """
+    Add position servos to the joints of a model that has no actuators.
+
+    Their force limits are the joints' limits. Of two joints that an equality constraint couples,
+    the dependent one gets no servo.
+
+    :returns: the changes, in sentences
+    """
+    model = tree.model
+    followers = {int(model.eq_obj1id[i]) for i in range(model.neq)
+                 if int(model.eq_type[i]) == int(mujoco.mjtEq.mjEQ_JOINT)
+                 and int(model.eq_obj2id[i]) >= 0}
+    driven = [j for j in range(model.njnt) if tree.is_scalar(j) and j not in followers]
+    for joint in driven:
+        element = spec.joint(model.joint(joint).name)
+        force = float(np.abs(model.jnt_actfrcrange[joint]).max()) if (
+            model.jnt_actfrclimited[joint]) else 0.0
+        if not model.dof_armature[model.jnt_dofadr[joint]]:
+            element.armature = float(np.clip(force * _ARMATURE_PER_FORCE, *_ARMATURE)
+                                     if force else 0.1 * _ARMATURE[1])
+        inertia = model.dof_M0[model.jnt_dofadr[joint]] + element.armature
+        stiffness = 4.0 * inertia / _LAG_S**2
+        servo = spec.add_actuator(name=element.name, target=element.name,
+                                  trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=stiffness, kv=stiffness * _LAG_S)
+        if model.jnt_limited[joint]:
+            servo.ctrlrange, servo.ctrllimited = model.jnt_range[joint], 1
+        if force:
+            servo.forcerange, servo.forcelimited = model.jnt_actfrcrange[joint], 1
+    return [f'position servos on {pluralize(len(driven), "joint")}, with rotor inertia where '
+            'there is none, because the file has no actuators'] if driven else []

@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal, TypeVar, Union
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.descriptions import AfterValidator, Field, Strict, ValidationError
-from manip_sim.models.files.xacro_expansion import split_arguments, stem_of, SUFFIX
 from manip_sim.models.registry import find_source, is_of_others, is_path
-from manip_sim.models.user_files import Files, parse_requested, read_yaml, YAML_SUFFIXES
+from manip_sim.models.user_files import (
+    Files, parse_requested, read_yaml, split_arguments, stem_of, XACRO_SUFFIX, YAML_SUFFIXES)
 from manip_sim.quoting import one_line, quoted
 
 #: A key of the outermost mapping of a YAML file, and how similar a misspelled one is at least.
@@ -247,7 +247,7 @@ def _keys_at(kind: type[Strict], place: list[str]) -> list[str]:
     return list(kind.model_fields)
 
 
-MODELS = ('.xml', '.mjcf', '.urdf', SUFFIX)
+MODELS = ('.xml', '.mjcf', '.urdf', XACRO_SUFFIX)
 
 
 def find_model(path: Path, kind: type[DescriptionT], stem: str, files: Files | None = None
@@ -338,7 +338,7 @@ def _in_folder(folder: Path, stem: str, files: Files) -> Path:
 def _models_in(folder: Path, files: Files) -> list[Path]:
     """Return the models in a folder; of xacro files those that are whole robots by their name."""
     return [file for file in files.listed(folder) if file.suffix.lower() in MODELS
-            and not (file.suffix.lower() == SUFFIX and stem_of(file) == file.stem)]
+            and not (file.suffix.lower() == XACRO_SUFFIX and stem_of(file) == file.stem)]
 
 
 def _model_of(file: Path, description: Description, stem: str, files: Files) -> Path:
@@ -351,7 +351,7 @@ def _model_of(file: Path, description: Description, stem: str, files: Files) -> 
         return model
     if isinstance(description, ArenaDescription) and description.arena is not None:
         return file
-    for suffix in (*MODELS, f'.urdf{SUFFIX}'):
+    for suffix in (*MODELS, f'.urdf{XACRO_SUFFIX}'):
         if files.is_file(file.with_suffix(suffix)):
             return file.with_suffix(suffix)
     models = _models_in(file.parent, files) if file.stem == stem else []

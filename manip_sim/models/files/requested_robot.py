@@ -20,7 +20,6 @@ import numpy as np
 
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.bases import base_names
-from manip_sim.models.composing import DEFAULT, NONE
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot, plan_robot
 from manip_sim.models.files.model_file import disabled_pairs
 from manip_sim.models.files.part_descriptions import find_model, RobotDescription
@@ -30,6 +29,7 @@ from manip_sim.models.object_model import NOT_SPAWNED
 from manip_sim.models.untrusted_models import (
     check_size, held_name, load_self_contained, MAX_ROBOT, run_limited)
 from manip_sim.models.user_files import CachedFiles, Files, InMemoryFile
+from manip_sim.models.world import DEFAULT, NONE
 from manip_sim.quoting import one_line
 
 #: Greatest number of degrees of freedom.

@@ -18,13 +18,11 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
-from manip_sim.models.files.package_folders import find_meshes
 from manip_sim.models.files.urdf_joints import check_joints, complete_joints
-from manip_sim.models.files.xacro_expansion import expanded, SUFFIX as XACRO
-from manip_sim.models.mjcf_versions import Document, Place, read_documents
+from manip_sim.models.files.ros_packages import expanded, find_meshes
+from manip_sim.models.loading import Document, Place, read_documents
 from manip_sim.models.untrusted_models import SelfContainedModel
-from manip_sim.models.user_files import Files, InMemoryFile
-from manip_sim.models.xml_model import AssetFolders, XmlModel
+from manip_sim.models.user_files import AssetFolders, Files, InMemoryFile, XACRO_SUFFIX, XmlModel
 from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
@@ -64,7 +62,7 @@ def is_urdf(file: Path, files: Files | None = None) -> bool:
 
     :raises ModelError: if a request must not or cannot read it
     """
-    if file.suffix.lower() in ('.urdf', XACRO):
+    if file.suffix.lower() in ('.urdf', XACRO_SUFFIX):
         return True
     if files is not None:
         return _begins_urdf(files.read(file, 'model file'))
@@ -189,7 +187,7 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
 
     :raises ModelError: if it is not URDF, cannot be read, or is xacro by request, which runs code
     """
-    is_xacro = file.suffix.lower() == XACRO
+    is_xacro = file.suffix.lower() == XACRO_SUFFIX
     if files is not None:
         if is_xacro or xacro_args:
             raise ModelError(
@@ -201,7 +199,7 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
         text = InMemoryFile(expanded(file, xacro_args), str(file))
         file, files = text.file, text
     elif xacro_args:
-        raise ModelError(f"'xacro_args' are for a {XACRO} file, not for {file}")
+        raise ModelError(f"'xacro_args' are for a {XACRO_SUFFIX} file, not for {file}")
     model = XmlModel(file, files=files)
     if not model.is_urdf:
         raise ModelError(f"{file} is not URDF: its root is {quoted(model.root)}, not 'robot'")

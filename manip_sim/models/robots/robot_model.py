@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from os import PathLike
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
 import re
 from types import MappingProxyType
@@ -494,16 +494,16 @@ class RobotModel(MujocoXMLModel, ABC):
 
         :param subsystem: such as ``arm``; two arms are one subsystem
         :param friction: ``catalogue``, or the keys of
-            :class:`~manip_sim.models.friction_and_armature.Friction`
+            :class:`~manip_sim.models.descriptions.Friction`
         :param torque_speed: ``catalogue``, or the keys of
-            :class:`~manip_sim.models.friction_and_armature.TorqueSpeed`
+            :class:`~manip_sim.models.descriptions.TorqueSpeed`
         :param armature: inertia of the rotors, reflected to the joints [kg m^2 or kg], a number or
             one for each joint
         :raises ModelError: if the subsystem has no scalar joints, the catalogue has no values or
             values cannot be used
         :raises UnknownNameError: if the subsystem is unknown
         """
-        from manip_sim.models.friction_and_armature import JointActuation, read_catalogue, single
+        from manip_sim.models.descriptions import JointActuation, read_catalogue, single
         joints = self._scalar_joints(subsystem)
         owner = f'{subsystem} of {self.name}'
         if not joints:
