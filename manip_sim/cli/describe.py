@@ -23,8 +23,7 @@ from manip_sim.errors import ModelError
 from manip_sim.interface.composition import declare_cameras, declare_parts
 from manip_sim.interface.offered_sensors import offered_topics
 from manip_sim.interface.topics import actions_of, Scope, SERVICES, topics_of_world
-from manip_sim.models.actuators import (
-    actuated_joints, declared_velocity, effort_range, moved_joints, position_servos)
+from manip_sim.models.actuators import declared_velocity, effort_range, position_servos
 from manip_sim.models.couplings import actuated_joints, moved_joints
 from manip_sim.models.robots import ManipulatorModel, RobotModel
 from manip_sim.models.urdf_writer.links import subtree

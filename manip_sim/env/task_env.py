@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from manip_sim.errors import (
     CommandError, describe_choices, DivergenceError, ModelError, UnknownNameError)
-from manip_sim.models.placements import checked_seed
+from manip_sim.models.randomization import checked_seed
 from manip_sim.models.world import compose, DEFAULT, Gripper, Grippers, Robot
 from manip_sim.quoting import format_value, quoted
 from manip_sim.tasks import Episode, LateAnswers, Setting, Task

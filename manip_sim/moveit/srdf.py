@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.models import World
-from manip_sim.models.actuators import JointCouplings, SCALAR
+from manip_sim.models.actuators import SCALAR
 from manip_sim.models.couplings import JointCouplings
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import ManipulatorModel, RobotModel

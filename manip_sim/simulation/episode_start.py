@@ -18,8 +18,8 @@ from manip_sim.arrays import FloatArray
 from manip_sim.control.surroundings import Surroundings
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.loading import compile_spec
-from manip_sim.models.placements import draw_places, extents
-from manip_sim.models.randomization import GROUPS, OF_NODE, Randomization, RandomizationLike, Rule
+from manip_sim.models.randomization import (
+    draw_places, extents, GROUPS, OF_NODE, Randomization, RandomizationLike, Rule)
 from manip_sim.models.world import World
 from manip_sim.physics.parts import Part
 from manip_sim.physics.physics import Physics

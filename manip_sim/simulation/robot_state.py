@@ -178,7 +178,7 @@ class JointDynamics:
 
     ``friction`` is up to :attr:`friction_loss` against the motion, and a spring pulls with
     ``stiffness (spring_position - q)``. Units are SI, with m and N for sliding joints. What
-    depends on the velocity is described by ``manip_sim.models.friction_and_armature.FrictionLaw``.
+    depends on the velocity is described by ``manip_sim.models.descriptions.FrictionLaw``.
 
     :ivar armature: inertia of the rotor reflected to the joint [kg m^2 or kg]
     :ivar damping: [N m s/rad or N s/m]

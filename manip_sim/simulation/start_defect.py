@@ -13,9 +13,7 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import BoolArray
-from manip_sim.models.actuators import (
-    actuated_joints, effort_range, JointCouplings, joints_between, moved_joints, position_servos,
-    SCALAR)
+from manip_sim.models.actuators import effort_range, position_servos, SCALAR
 from manip_sim.models.couplings import (
     actuated_joints, JointCouplings, joints_between, moved_joints)
 from manip_sim.models.robots.robot_model import driven_joint

@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, ModelError
 from manip_sim.models.faults import FaultPlan
-from manip_sim.models.placements import checked_seed
 from manip_sim.models.randomization import checked_seed, Randomization
 from manip_sim.models.world import DEFAULT, Gripper, Grippers, Robot
 from manip_sim.quoting import format_value
