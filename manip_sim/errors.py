@@ -32,6 +32,10 @@ class ModelError(ManipSimError, ValueError):
     """A model file or a composition of models is not usable as it is."""
 
 
+class KindError(ModelError, TypeError):
+    """A value is of a kind that cannot be used in its place."""
+
+
 class MessageError(ManipSimError, ValueError):
     """A message cannot be read, or holds what cannot be used."""
 

@@ -5,19 +5,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 import math
+from numbers import Real
 import sys
-from typing import Any
+from typing import Any, cast, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import CommandError, ManipSimError, ModelError
+from manip_sim.errors import CommandError, KindError, ManipSimError, ModelError
 from manip_sim.quoting import format_value, pluralize
 
+_Item = TypeVar('_Item')
 #: Greatest difference of the square of a quaternion's norm from one, as in tf2's ``BufferCore``.
 _NORM_TOLERANCE = 1e-2
 
@@ -60,17 +62,40 @@ command_numbers = partial(as_numbers, error=CommandError)
 finite_command_numbers = partial(finite_numbers, error=CommandError)
 
 
+def check_kind(value: object, kinds: type | tuple[type, ...], label: str, expected: str) -> None:
+    """
+    Reject a value of another kind.
+
+    :param expected: what it should be, for the message
+    :raises KindError: if it is of none of the kinds
+    """
+    if not isinstance(value, kinds):
+        raise KindError(f'{label} must be {expected}, got {format_value(value)}')
+
+
+def listed(values: Iterable[_Item], label: str) -> list[_Item]:
+    """
+    Return the items of a list or of another iterable.
+
+    :raises KindError: if it is none, or a text or a mapping, whose items are parts of one
+    """
+    try:
+        if not isinstance(values, (str, bytes, Mapping)):
+            return list(values)
+    except TypeError:
+        pass
+    raise KindError(f'{label} must be a list, got {format_value(values)}')
+
+
 def mapping(value: object, label: str, example: str) -> Mapping[str, Any]:
     """
     Return a mapping.
 
     :param example: of what it should be, for the message
-    :raises ModelError: if it is none
+    :raises KindError: if it is none
     """
-    if not isinstance(value, Mapping):
-        raise ModelError(f'{label} must be a mapping, such as {example}, '
-                         f'got {format_value(value)}')
-    return value
+    check_kind(value, Mapping, label, f'a mapping, such as {example}')
+    return cast('Mapping[str, Any]', value)
 
 
 def unit_quaternion(values: ArrayLike, label: str) -> FloatArray:
@@ -149,6 +174,7 @@ def whole_nanoseconds(timestep_s: float) -> float:
 
     :raises ModelError: if it is not a positive whole number of nanoseconds, naming the nearest
     """
+    check_kind(timestep_s, Real, 'a timestep', 'a number')
     if not 1e-9 <= timestep_s < math.inf:
         raise ModelError(f'a timestep must be positive and finite, got {timestep_s} s')
     nanoseconds = timestep_s * 1e9

@@ -17,13 +17,14 @@ import mujoco
 import numpy as np
 
 from manip_sim.arrays import FloatArray, IntArray
-from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.errors import KindError, ModelError, UnknownNameError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import (
     compile_alone, compile_copy, compile_spec, load_spec, name_unnamed_elements)
 from manip_sim.models.spec_edits import attach, check_prefix, name_main_default, TakenNames
 from manip_sim.models.user_files import read_yaml
 from manip_sim.resources import asset_path
+from manip_sim.validation import check_kind
 
 #: Names to use instead, by name.
 REPLACEMENTS = {
@@ -91,6 +92,8 @@ class MujocoXMLModel:
     _is_checked = True
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
+        check_kind(fname, (str, PathLike), 'fname', 'the path of an MJCF file')
+        check_kind(idn, (str, int, np.integer), 'idn', 'a number or a word')
         self.file = Path(fname)
         self.idn = idn
         self._given_prefix = ''
@@ -351,7 +354,7 @@ class MujocoXMLModel:
                     for name in names]
         if isinstance(names, Mapping):
             return {key: self.correct_naming(value) for key, value in names.items()}
-        raise TypeError('names must be a str, a list, a tuple or a dict of them, '
+        raise KindError('names must be a str, a list, a tuple or a dict of them, '
                         f'not {type(names).__name__}')
 
     bodies: list[str] = _prefixed('_bodies', 'All bodies but the world.')

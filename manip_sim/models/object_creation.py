@@ -27,6 +27,7 @@ from manip_sim.models.user_files import (
     check_file, Files, InMemoryFile, parse_requested, read_yaml, YAML_SUFFIXES)
 from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.resources import cache_folder, keep_in_cache
+from manip_sim.validation import listed
 
 if TYPE_CHECKING:
     from manip_sim.models.descriptions import FileDescription, MeshDescription, ShapeDescription
@@ -99,7 +100,7 @@ def create_objects(descriptions: Iterable[Description]) -> list[ObjectModel]:
     :raises ModelError: as :func:`create_object`, and if two have the same name
     """
     objects: list[ObjectModel] = []
-    for description in descriptions:
+    for description in listed(descriptions, 'objects'):
         if isinstance(description, (str, PathLike)) and Path(description).suffix in YAML_SUFFIXES:
             objects += load_objects(description)
         else:

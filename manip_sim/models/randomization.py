@@ -28,7 +28,7 @@ from manip_sim.models.user_files import read_yaml, StrictLoader
 from manip_sim.quoting import format_value, quoted
 from manip_sim.sensing.randomness import generator
 from manip_sim.sensing.sensor_noise import QUANTITIES as PARAMETERS
-from manip_sim.validation import whole_number
+from manip_sim.validation import check_kind, mapping, whole_number
 
 TYPES = ('gaussian', 'uniform')
 #: As in robosuite 1.5.2, ``initialization_noise='default'`` [rad or m].
@@ -52,6 +52,7 @@ class InitializationNoise:
     """
 
     def __init__(self, settings: Mapping[str, Any], seed: int | None = None) -> None:
+        mapping(settings, 'initialization_noise', "{'magnitude': 0.02}")
         for key in settings:
             if key not in ('type', 'magnitude'):
                 raise UnknownNameError('key of initialization_noise', key, ('type', 'magnitude'))
@@ -464,6 +465,7 @@ class Randomization:
             return
         lines: _Lines = {}
         name = 'randomization'
+        check_kind(given, (Mapping, str, os.PathLike), name, 'a mapping or a YAML file')
         if isinstance(given, Mapping):
             self.given = dict(given)
         else:

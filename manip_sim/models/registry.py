@@ -26,6 +26,7 @@ from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.user_files import YAML_SUFFIXES
 from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import Offer, offers
+from manip_sim.validation import check_kind
 
 T = TypeVar('T')
 _LOGGER = logging.getLogger('manip_sim.models')
@@ -115,6 +116,7 @@ class Registry(Generic[T]):
 
         Nothing is imported.
         """
+        check_kind(name, (str, PathLike), self.kind, 'a name or a file')
         if name in self._classes or name in offers(self._group):
             return None
         return find_source(name, self._folder)
@@ -126,6 +128,7 @@ class Registry(Generic[T]):
         :raises ModelError: if the class cannot be created by name, or another package offers it
             and it cannot be imported
         """
+        check_kind(name, (str, PathLike), self.kind, 'a name')
         if name not in self._classes:
             offer = offers(self._group).get(name)
             if offer is not None:

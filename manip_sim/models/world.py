@@ -40,7 +40,7 @@ from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
 from manip_sim.models.spec_edits import fit_couplings, soften_contacts, TakenNames
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import format_value, quoted
-from manip_sim.validation import start_by_joint, whole_nanoseconds
+from manip_sim.validation import check_kind, listed, start_by_joint, whole_nanoseconds
 
 #: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From
 #: 500 on, MuJoCo's solver needs twice as many iterations for rounded fingers.
@@ -61,12 +61,15 @@ def keyframe_names(parts: Iterable[MujocoXMLModel | ObjectModel]) -> list[str]:
 
 
 def _checked_robots(robots: Sequence[RobotModel]) -> list[RobotModel]:
+    robots = listed(robots, 'robots')
+    for robot in robots:
+        check_kind(robot, RobotModel, 'each of the robots', 'a RobotModel')
     prefixes = [robot.naming_prefix for robot in robots]
     if len({robot.name_in_world for robot in robots}) != len(prefixes):
         apart = 'underscores at the end apart, ' * (len(set(prefixes)) == len(prefixes))
         raise ModelError(f'robots in one world need different idn or prefix, {apart}got '
                          + ', '.join(prefixes))
-    return list(robots)
+    return robots
 
 
 class World:
@@ -113,13 +116,14 @@ class World:
                  randomization: RandomizationLike | None = None,
                  faults: FaultsLike = ()) -> None:
         self.robots = _checked_robots(robots)
-        self.arena = arena or EmptyArena()
+        self.arena = EmptyArena() if arena is None else arena
+        check_kind(self.arena, Arena, 'arena', 'a name, a file or an Arena')
         self.timestep_s = whole_nanoseconds(timestep_s)
         self.gravity_compensation = gravity_compensation
         self.objects: list[ObjectModel] = [*self.arena.objects, *create_objects(objects)]
         check_object_names(self.objects)
-        self.cameras = [create_camera(camera) for camera in cameras]
-        self.lidars = [create_lidar(lidar) for lidar in lidars]
+        self.cameras = [create_camera(camera) for camera in listed(cameras, 'cameras')]
+        self.lidars = [create_lidar(lidar) for lidar in listed(lidars, 'lidars')]
         self.keyframe = self.checked_keyframe(keyframe)
         self.randomization = (None if randomization is None else Randomization(randomization))
         if self.arena.placements:
@@ -152,6 +156,7 @@ class World:
         :param keyframe: of one or several parts; empty for none
         :raises UnknownNameError: if no part has it
         """
+        check_kind(keyframe, str, 'keyframe', 'a name')
         known = self.keyframes
         if keyframe and keyframe not in known:
             raise UnknownNameError('keyframe', keyframe, known)
@@ -464,6 +469,8 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     :raises UnknownNameError: if a name is not known
     :raises ModelError: if the parts do not fit together, or no gripper has pads for such sensors
     """
+    check_kind(prefix, str, 'prefix', 'a word')
+    check_kind(robot, (str, PathLike, RobotModel), 'robot', 'a name, a file or a RobotModel')
     if isinstance(robot, (str, PathLike)):
         robot = create_robot(robot, idn=idn, prefix=prefix)
     elif prefix:
@@ -494,6 +501,8 @@ def read_gripper(text: str, source: str = 'gripper') -> str | dict[str, str]:
 
 
 def _add_base(robot: RobotModel, base: Base, idn: int | str) -> None:
+    check_kind(base, (str, PathLike, RobotBaseModel, type(None)), 'base',
+               'a name, a file, a base or None')
     choice = robot.default_base if base == DEFAULT else base
     if choice is None or choice == NONE:
         return
@@ -535,6 +544,8 @@ def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int
     else:
         by_arm = dict.fromkeys(robot.arms, gripper)
     for arm, choice in by_arm.items():
+        check_kind(choice, (str, PathLike, GripperModel, type(None)), 'gripper',
+                   'a name, a file, a gripper, None or a mapping of these by arm')
         is_default = choice == DEFAULT
         if is_default:
             if arm in robot.own_hands and arm not in robot.declared_grippers:

@@ -28,6 +28,7 @@ from manip_sim.quoting import format_value
 from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.sensing.sensor_noise import QUANTITIES
 from manip_sim.simulation.robot_spawning import RobotsPlan
+from manip_sim.validation import check_kind, mapping
 
 #: Drawn values, by ``group/name/quantity``: a number or several, in SI units.
 Sample = Mapping[str, Any]
@@ -116,6 +117,7 @@ class Element:
 
 def split(key: str) -> tuple[str, str, str]:
     """Return group, name and quantity of a drawn value; a setting has its name and no quantity."""
+    check_kind(key, str, 'the name of a drawn value', 'text')
     group, _, rest = key.partition('/')
     if group == OF_NODE:
         return group, rest, ''
@@ -266,7 +268,7 @@ class DomainRandomizer:
         :param drawn: by ``group/name/quantity``
         :raises ModelError: if something in it cannot be drawn
         """
-        for key in drawn:
+        for key in mapping(drawn, 'what is drawn', "{'bodies/cube/mass': 0.1}"):
             split(key)
         physics, before = self._physics, self.drawn
         nominal = physics.plan.compiled

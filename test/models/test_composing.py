@@ -3,11 +3,14 @@
 
 """Tests of the one place that composes robot, gripper, base and arena."""
 
+import inspect
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import compose, compose_robot
+from manip_sim.errors import KindError, ManipSimError, ModelError, UnknownNameError
+from manip_sim.models import compose, compose_robot, World
 from manip_sim.models.arenas import TableArena
 from manip_sim.models.bases import NullMount
 from manip_sim.models.grippers import PandaGripper
@@ -29,6 +32,45 @@ def test_what_a_class_declares_in_place_of_a_mapping_is_told(one_joint_arm, what
     with pytest.raises(ModelError, match=rf'^{what} of Arm0 must be a mapping, such as \{{.*\}}, '
                                          rf'got {value!r}$'):
         compose(arm).compile()
+
+
+_KINDS = [None, True, 5, -1.5, float('nan'), 1j, 'x', b'x', [], [1], ['a'], [None], (1, 2), {},
+          {'a': 1}, {1: 2}, {'right': 5}, [{'name': 5}], object(), Panda, Path('missing'),
+          np.zeros(2), range(2), {1}]
+
+
+@pytest.mark.parametrize(('make', 'keyword'), [
+    *((compose, keyword) for keyword in inspect.signature(compose).parameters),
+    *((World, keyword) for keyword in inspect.signature(World).parameters)])
+def test_a_value_of_any_kind_is_taken_or_rejected_with_an_error_of_the_package(make, keyword):
+    needed = {'robots': [compose_robot('SO101')]} if make is World else {'robot': 'SO101'}
+    is_flag = keyword in ('gravity_compensation', 'tactile')  # True or false, as Python has it.
+    rejected = 0
+    for value in _KINDS:
+        if is_flag and isinstance(value, np.ndarray):
+            continue  # NumPy itself refuses to tell whether it is true.
+        try:
+            make(**{**needed, keyword: value})
+        except ManipSimError as error:
+            rejected += 1
+            assert '\n' not in str(error)
+    assert rejected or is_flag
+
+
+@pytest.mark.parametrize(('keywords', 'message'), [
+    ({'robot': 5}, 'robot must be a name, a file or a RobotModel, got 5'),
+    ({'gripper': {'right': 5}}, 'gripper must be a name, a file, a gripper, None or a mapping of '
+                                'these by arm, got 5'),
+    ({'base': ['x']}, r"base must be a name, a file, a base or None, got \['x'\]"),
+    ({'arena': 5}, 'arena must be a name, a file or an Arena, got 5'),
+    ({'cameras': 5}, 'cameras must be a list, got 5'),
+    ({'objects': 'cube'}, "objects must be a list, got 'cube'"),
+    ({'randomization': [1]}, r'randomization must be a mapping or a YAML file, got \[1\]'),
+    ({'timestep_s': '0.002'}, "a timestep must be a number, got '0.002'"),
+    ({'idn': None}, 'idn must be a number or a word, got None')])
+def test_an_error_about_a_kind_says_what_it_should_be(keywords, message):
+    with pytest.raises(KindError, match=f'^{message}$'):
+        compose(**keywords)
 
 
 @pytest.mark.parametrize('nothing', ['none', None])

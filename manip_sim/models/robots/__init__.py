@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.algebra import wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.errors import KindError, ModelError, UnknownNameError
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import CatalogueModel, FromYaml, MujocoXMLModel
 from manip_sim.models.registry import import_submodules
@@ -181,7 +181,7 @@ class ManipulatorModel(RobotModel):
         :raises ModelError: if the arm has a gripper already, or the gripper is mounted already
         """
         if not isinstance(gripper, GripperModel):
-            raise TypeError(f'a gripper must be a GripperModel, not {type(gripper).__name__}')
+            raise KindError(f'a gripper must be a GripperModel, not {type(gripper).__name__}')
         arms = self.arms if arm_name is None else (self.arm_of(arm_name),)
         for arm in arms:
             if arm in self._grippers:

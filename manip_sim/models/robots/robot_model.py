@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from manip_sim.algebra import quat_wxyz_from_rpy, xyzw_to_wxyz
 from manip_sim.arrays import FloatArray
-from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.errors import CommandError, KindError, ModelError, UnknownNameError
 from manip_sim.models.actuators import FrictionLaw, JOINT_TRANSMISSIONS, SCALAR
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
 from manip_sim.models.mjcf import MujocoXMLModel
@@ -162,7 +162,7 @@ class RobotModel(MujocoXMLModel, ABC):
         :raises ModelError: if the robot has a base already
         """
         if not isinstance(base, (MountModel, MobileBaseModel)):
-            raise TypeError('a base must be a MountModel or a MobileBaseModel, '
+            raise KindError('a base must be a MountModel or a MobileBaseModel, '
                             f'not {type(base).__name__}')
         if self._base is not None:
             raise ModelError(f'{self.name} stands on {self._base.name} already, '
@@ -269,7 +269,7 @@ class RobotModel(MujocoXMLModel, ABC):
         return list(self._lookup(self._actuators_of, subsystem))
 
     def _lookup(self, table: dict[str, list[str]], subsystem: str) -> list[str]:
-        if subsystem not in table:
+        if subsystem not in SUBSYSTEMS:
             raise UnknownNameError('subsystem', subsystem, SUBSYSTEMS)
         return table[subsystem]
 
