@@ -198,7 +198,8 @@ def fitting_timestep(period_s: float, timestep_s: float) -> float | None:
     :param timestep_s: the longest that is allowed [s]
     :returns: [s]; None if nanoseconds are too coarse
     """
-    fitted_s = round(period_s / math.ceil(period_s / timestep_s - 1e-6) * 1e9) / 1e9
+    steps = max(1, math.ceil(period_s / timestep_s - 1e-6))
+    fitted_s = round(period_s / steps * 1e9) / 1e9
     return fitted_s if fitted_s and steps_of(period_s, fitted_s) else None
 
 

@@ -116,7 +116,7 @@ def make_env(n_envs: int = 1, use_async_envs: bool = False, cfg: Any = None,
     :raises ManipSimError: if something cannot be used, with what fits
     """
     task = getattr(cfg, 'task', None) or task
-    arguments = {'robot': robot, 'cameras': tuple(cameras), 'image_size': image_size,
+    arguments = {'robot': robot, 'cameras': cameras, 'image_size': image_size,
                  'render_mode': 'rgb_array', **keywords}
     makers = [partial(create_env, task, arguments)] * whole_number(n_envs, 1, 'n_envs')
     mode = gymnasium.vector.AutoresetMode.SAME_STEP

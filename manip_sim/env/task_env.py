@@ -98,7 +98,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if render_mode is not None and render_mode not in self.metadata['render_modes']:
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         check_keywords(composition, TaskEnv)
-        setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
+        setting = Setting(task, robot, gripper, action, control_hz, latency, cameras,
                           image_size, composition, noise, answer_time,
                           image_kinds)
         self.episode = setting.create_episode()
@@ -313,7 +313,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         self.autoreset_mode = _mode(autoreset_mode)
         check_keywords(composition, TaskVectorEnv)
-        setting = Setting(task, robot, gripper, action, control_hz, latency, tuple(cameras),
+        setting = Setting(task, robot, gripper, action, control_hz, latency, cameras,
                           image_size, composition, noise, answer_time,
                           image_kinds)
         made = setting.create_task()

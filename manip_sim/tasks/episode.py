@@ -40,7 +40,7 @@ from manip_sim.tasks.observation import (
     CameraLike, checked_kinds, descriptions, IMAGE, Observation, Observer, Pictures,
     PictureThreads, views_of)
 from manip_sim.tasks.task import create_task, Task
-from manip_sim.validation import fitting_timestep, nearest_rates, steps_of
+from manip_sim.validation import fitting_timestep, listed, mapping, nearest_rates, steps_of
 
 #: Of what :func:`interface_of` returns.
 INTERFACE_FORMAT = 1
@@ -432,7 +432,7 @@ class Setting:
     action: str = 'osc_pose'
     control_hz: float = 20.0
     latency: LatencyLike = NO_LATENCY
-    cameras: tuple[CameraLike, ...] = ()
+    cameras: Sequence[CameraLike] = ()
     image_size: tuple[int, int] | None = None
     composition: Mapping[str, Any] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
@@ -444,6 +444,9 @@ class Setting:
         if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not (
                 0.0 < rate < math.inf):
             raise ModelError(f'control_hz must be above 0 Hz, got {format_value(rate)}')
+        object.__setattr__(self, 'cameras', tuple(listed(self.cameras, 'cameras')))
+        object.__setattr__(self, 'noise', dict(mapping(
+            self.noise, 'noise', "{'joint_position': 0.001}")))
         object.__setattr__(self, 'latency', Latency.of(self.latency))
         object.__setattr__(self, 'answer_time', AnswerTime.of(self.answer_time))
         object.__setattr__(self, 'image_kinds', checked_kinds(self.image_kinds))

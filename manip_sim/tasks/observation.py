@@ -28,6 +28,7 @@ from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 from manip_sim.tasks.task import Task
+from manip_sim.validation import listed
 
 #: Arrays by key.
 Observation = dict[str, NDArray[Any]]
@@ -342,8 +343,9 @@ def views_of(cameras: Iterable[CameraLike], world: World, simulation: Simulation
     :raises UnknownNameError: if the camera is unknown
     :raises ModelError: if a camera is chosen twice, or its name or the size cannot be used
     """
-    if image_size is not None and not (len(image_size) == 2 and all(
-            isinstance(edge, int) and 1 <= edge <= MAX_PIXELS for edge in image_size)):
+    if image_size is not None and not (
+            isinstance(image_size, Sequence) and len(image_size) == 2 and all(
+                isinstance(edge, int) and 1 <= edge <= MAX_PIXELS for edge in image_size)):
         raise ModelError(f'image_size must be width and height from 1 to {MAX_PIXELS} pixels, got '
                          f'{image_size!r:.60}')
     chosen = chosen_cameras(_texts(cameras), world.cameras, simulation.model)
@@ -357,7 +359,7 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
     :raises UnknownNameError: if one is not known
     :raises ModelError: if there is none, or one twice
     """
-    for kind in [kinds] if isinstance(kinds, str) else kinds:
+    for kind in [kinds] if isinstance(kinds, str) else listed(kinds, 'image_kinds'):
         if kind not in KINDS:
             raise UnknownNameError('kind of images', kind, KINDS)
     if isinstance(kinds, str) or not kinds or len(set(kinds)) < len(kinds):

@@ -22,6 +22,7 @@ from manip_sim.models.registry import Registry
 from manip_sim.models.robots import create_robot, ManipulatorModel, robot_names
 from manip_sim.models.world import compose, DEFAULT, Gripper, Grippers, Robot, World
 from manip_sim.quoting import pluralize
+from manip_sim.validation import listed
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert
 
@@ -93,7 +94,8 @@ class Task(ABC):
         self.world: World = self.compose(
             robot, self.own_gripper if gripper == DEFAULT else gripper, {
                 'initialization_noise': _NOISE, 'seed': 0, **composition, 'arena': self.arena(),
-                'objects': [*self.objects(), *composition.get('objects', ())]})
+                'objects': [*self.objects(),
+                            *listed(composition.get('objects', ()), 'objects')]})
         model = self.world.robots[0]
         self._check(model)
         assert isinstance(model, ManipulatorModel)
