@@ -32,6 +32,7 @@ from manip_sim.physics.object_spawning import ElementMap, plan_world, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import format_value
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.validation import check_kind
 
 #: Robots that a world may have, so that requests cannot fill the memory.
 MAX_ROBOTS = 16
@@ -112,6 +113,7 @@ def plan_with_robot(simulation: RunningWorld, robot: RobotModel) -> RobotsPlan:
     :raises ModelError: if a name is taken already, there are too many robots, or MuJoCo cannot
         compile the world
     """
+    check_kind(robot, RobotModel, 'robot', 'a RobotModel')
     world = simulation.world
     if len(world.robots) >= MAX_ROBOTS:
         raise ModelError(f'there are {len(world.robots)} robots already, a world takes no more')

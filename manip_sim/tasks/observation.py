@@ -28,7 +28,7 @@ from manip_sim.sensing.robot_sensing import RobotSensing
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.snapshots import Snapshot, take_snapshot, VisibleWorld
 from manip_sim.tasks.task import Task
-from manip_sim.validation import listed
+from manip_sim.validation import check_kind, listed
 
 #: Arrays by key.
 Observation = dict[str, NDArray[Any]]
@@ -369,4 +369,11 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
 
 
 def _texts(cameras: Iterable[CameraLike]) -> list[str]:
-    return [camera if isinstance(camera, str) else json.dumps(dict(camera)) for camera in cameras]
+    for camera in cameras:
+        check_kind(camera, (str, Mapping), 'each of the cameras', 'a name or a description')
+    return [camera if isinstance(camera, str) else json.dumps(dict(camera), default=_plain)
+            for camera in cameras]
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else str(value)

@@ -170,6 +170,8 @@ def test_what_cannot_be_used_is_said(reach):
     ({'image_size': 64}, 'image_size must be width and height .*, got 64$'),
     ({'cameras': 5}, '^cameras must be a list, got 5'),
     ({'cameras': 'agentview'}, "^cameras must be a list, got 'agentview'"),
+    ({'cameras': [5]}, '^each of the cameras must be a name or a description, got 5'),
+    ({'cameras': [{'name': 'top', 'position': np.zeros(2)}]}, "'position'"),
     ({'noise': 0.1}, '^noise must be a mapping, such as .*, got 0.1'),
     ({'image_kinds': None}, '^image_kinds must be a list, got None'),
     ({'objects': 5}, '^objects must be a list, got 5'),

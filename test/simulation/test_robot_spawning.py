@@ -364,6 +364,8 @@ def test_robots_that_cannot_come_or_go_change_nothing(monkeypatch):
         simulation.delete_robot('robot0')
     with pytest.raises(UnknownNameError, match="unknown robot 'cube'"):
         simulation.delete_robot('cube')
+    with pytest.raises(ModelError, match="^robot must be a RobotModel, got 'Panda'"):
+        simulation.spawn_robot('Panda')
     monkeypatch.setattr(robot_spawning, 'MAX_ROBOTS', 1)
     with pytest.raises(ModelError, match='there are 1 robots already, a world takes no more'):
         simulation.spawn_robot(robot_at('left', 2.0))
