@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+import math
 import re
 from typing import Any, TYPE_CHECKING
 
 import mujoco
+import yaml
 
 from manip_sim.control.modes import MODES
 from manip_sim.errors import ModelError, ParameterError
@@ -28,7 +30,7 @@ from manip_sim.models.cameras import (
     chosen_cameras, described_cameras, described_lidars, ImageSettings)
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.robot_model import SUBSYSTEMS
-from manip_sim.models.user_files import AllowedRoots, parse_yaml
+from manip_sim.models.user_files import AllowedRoots, parse_yaml, read_yaml
 from manip_sim.models.world import keyframe_names
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
 
 #: Robots that the user does not place stand side by side [m].
 _SPACING_M = 1.0
+#: Parameters that name a YAML file, or hold its content in braces.
+CONTENTS = ('faults', 'randomization')
 #: Name of a robot: a namespace, parameters and names of joints may begin with it.
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*')
 #: Names that no robot may have: of the node's namespace and of its parameters.
@@ -131,10 +135,28 @@ def _settings(value: Callable[[str], Any]) -> dict[str, Any]:
     noise = {key: value(f'initialization_noise.{key}') for key in ('type', 'magnitude')}
     chosen = {'lidars': described_lidars(value('lidars')),
               'initialization_noise': noise if noise['magnitude'] else None,
-              'randomization': value('randomization'), 'faults': value('faults')}
+              **{name: _content(value(name), name) for name in CONTENTS}}
     return {'timestep_s': value('timestep'), 'gravity_compensation': value('gravity_compensation'),
             'seed': value('seed'), 'cameras': described_cameras(value('cameras')),
             **{name: setting for name, setting in chosen.items() if setting}}
+
+
+def _content(text: str, name: str) -> str | dict[str, Any]:
+    """Return the name of a YAML file as it is, and of a content in braces what it holds."""
+    return parse_yaml(text, f"parameter '{name}'") if text.lstrip().startswith('{') else text
+
+
+def with_contents(values: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Return parameters with the contents of YAML files in place of their names.
+
+    :param values: by name
+    :raises ModelError: if such a file cannot be read
+    """
+    contents = {name: values[name] for name in CONTENTS if values.get(name)}
+    return {**values, **{
+        name: yaml.safe_dump(read_yaml(text), default_flow_style=True, width=math.inf)
+        for name, text in contents.items() if not text.lstrip().startswith('{')}}
 
 
 def _check_rates(world: World, publish_rate: float) -> None:

@@ -81,9 +81,9 @@ def node_parameters() -> list[ParameterSpec]:
                       maximum=2**31 - 1),
         ParameterSpec('randomization', '', 'YAML file with distributions of masses, friction, '
                       'sizes, poses, lights, camera poses, noise and latency, drawn from seed at '
-                      'each reset; empty: none.'),
+                      'each reset, or its content in braces; empty: none.'),
         ParameterSpec('faults', '', 'YAML file with faults that are planned for each episode: '
-                      'what, part, from, until; empty: none.'),
+                      'what, part, from, until, or its content in braces; empty: none.'),
         ParameterSpec('timestep', 0.002, 'Physics step.', 's', minimum=SHORTEST_STEP_S,
                       maximum=0.01),
         ParameterSpec('publish_rate', 100.0, 'Control periods, and messages on each state topic, '

@@ -19,7 +19,8 @@ from manip_sim.models.user_files import parse_yaml, read_yaml
 from manip_sim.quoting import format_value, quoted
 
 #: A YAML file, or what one holds.
-FaultsLike = Union[str, PathLike[str], Iterable[Mapping[str, Any]], 'FaultPlan']
+FaultsLike = Union[str, PathLike[str], Iterable[Mapping[str, Any]], Mapping[str, Any],
+                   'FaultPlan']
 
 _KEYS = ('what', 'part', 'robot', 'from', 'until', 'value', 'chance')
 
@@ -94,9 +95,9 @@ class FaultPlan:
     """
     Faults of each episode; numbers may be ranges, from which the seed of the episode draws.
 
-    :param given: a YAML file with the key ``faults``, or a list: mappings with ``what`` (one of
-        :data:`KINDS`) and ``part``, and where needed ``robot``, ``from`` and ``until`` (since the
-        reset [s], numbers or [low, high]), ``value`` and ``chance``
+    :param given: a YAML file with the key ``faults``, its content, or a list: mappings with
+        ``what`` (one of :data:`KINDS`) and ``part``, and where needed ``robot``, ``from`` and
+        ``until`` (since the reset [s], numbers or [low, high]), ``value`` and ``chance``
     :raises ModelError: naming the fault that cannot be used
     :ivar given: the mapping of the user, plain
     :ivar faults: those that are planned
@@ -109,6 +110,8 @@ class FaultPlan:
         if isinstance(given, (str, PathLike)):
             source = fspath(given)
             given = _listed(read_yaml(given), source)
+        elif isinstance(given, Mapping) and 'faults' in given:
+            given = _listed(given, source)
         if isinstance(given, Mapping) or not isinstance(given, Iterable):
             raise ModelError(f'{source} must be a list of faults, got {format_value(given)}')
         self.given: list[Any] = [

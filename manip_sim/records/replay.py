@@ -16,7 +16,7 @@ import numpy as np
 
 from manip_sim.control.commands import GripperCommand, NoCommand, Status
 from manip_sim.errors import CommandError, DivergenceError, ManipSimError, ModelError, RecordError
-from manip_sim.interface.composition import compose_world, Composition
+from manip_sim.interface.composition import compose_world, Composition, CONTENTS
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.models.registry import is_of_others, is_path
 from manip_sim.models.user_files import parse_yaml
@@ -342,6 +342,8 @@ def _composed(parameters: dict[str, Any]) -> Composition:
                               f'{most} are repeated')
         if name.rpartition('.')[2] in _FILES:
             for text in map(str, value if isinstance(value, list) else [value]):
+                if name in CONTENTS and text.lstrip().startswith('{'):
+                    continue
                 described = parse_yaml(text, name) if text.lstrip().startswith('{') else {}
                 if text and (name == 'model_path' or is_path(text) or is_of_others(text)
                              or 'file' in described):

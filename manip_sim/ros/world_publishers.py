@@ -24,6 +24,7 @@ from std_msgs.msg import String, UInt8MultiArray
 
 from manip_sim.control.modes import MODES, POSITION
 from manip_sim.control.reflexes import RUNNING, SAFETY_STATES
+from manip_sim.interface.composition import with_contents
 from manip_sim.interface.topics import BY_NAME, hardware_of, Scope, STALLS
 from manip_sim.models.asset_files import LostShape
 from manip_sim.models.robots import ManipulatorModel, RobotModel
@@ -283,7 +284,7 @@ class JournalPublisher(Feature):
         self._operations = context.thread.changes.operations
         self._journal = context.thread.changes.journal
         # Those that change while the node runs are in the state, too.
-        self._parameters = context.parameters.values
+        self._parameters = with_contents(context.parameters.values)
         self._task = task
         self._subscribers = self._number = 0
         self._published_s = 0.0

@@ -15,7 +15,7 @@ from robot_kinds import KINDS
 
 from manip_sim.cli.main import main
 from manip_sim.control.modes import LAWS
-from manip_sim.interface.composition import compose_world
+from manip_sim.interface.composition import compose_world, with_contents
 from manip_sim.interface.parameter_spec import GivenParameters
 from manip_sim.laws import law
 from manip_sim.models import compose_robot
@@ -449,6 +449,31 @@ def test_drawn_starts_and_several_robots_are_repeated(given, session, verify):
     node.thread.reset()
     for robot in node.simulation.robots.values():
         node.act(100, robot)
+    node.close()
+    code, lines = verify()
+    assert (code, lines[-1]) == (0, '1 of 1 equal'), lines
+
+
+def test_planned_faults_and_randomization_are_repeated_without_their_files(
+        session, verify, tmp_path):
+    files = {'faults': 'faults: [{what: lost_commands, part: arm, from: [0.0, 0.1]},'
+                       ' {what: offset_state, part: arm, value: 0.01, until: 0.2}]',
+             'randomization': 'joints: {"*": {friction: {uniform: [0.1, 1.0]}}}'}
+    for name, content in files.items():
+        (tmp_path / f'{name}.yaml').write_text(content)
+    node = session(robot='UR5e', seed=4, **{
+        name: str(tmp_path / f'{name}.yaml') for name in files})
+    node.given = with_contents(node.given)
+    for name in files:
+        (tmp_path / f'{name}.yaml').unlink()
+    node.begin()
+    node.act(20)
+    node.thread.next_seed = 12
+    node.thread.reset()
+    node.act(20)
+    assert [fault['what'] for fault in node.simulation.faults.summary()] == [
+        'lost_commands', 'offset_state']
+    assert node.simulation.randomized.drawn
     node.close()
     code, lines = verify()
     assert (code, lines[-1]) == (0, '1 of 1 equal'), lines
