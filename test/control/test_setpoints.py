@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from manip_sim.control.law import setpoint_changes
+from manip_sim.control.law import setpoint_motion
 from manip_sim.control.law.loads import no_loads
 from manip_sim.control.law.records import readable, SERVO
 from manip_sim.control.law.servo_rates import drive
@@ -601,7 +601,7 @@ def test_a_ramp_ends_exactly_at_its_goal_whatever_its_slope():
     goal[::2], slope = 0.0, np.abs(slope) + 0.5
     setpoints, joints = generator(2000), np.arange(2000)
     setpoints.set_state(joints, np.zeros(2000), rng.uniform(-1.9, 1.9, 2000))
-    setpoint_changes.ramp_to(setpoints.joints, joints, goal, 1.0, slope)
+    setpoint_motion.ramp_to(setpoints.joints, joints, goal, 1.0, slope)
     setpoints.moving = True
     for _ in range(2100):
         setpoints.advance(0.004)

@@ -35,7 +35,8 @@ def data_classes():
                for found in pkgutil.walk_packages(room.__path__, f'{room.__name__}.')]
     return {f'{module.__name__.removeprefix("manip_sim.")}.{name}': found
             for module in modules for name, found in vars(module).items()
-            if dataclasses.is_dataclass(found) and found.__module__ == module.__name__}
+            if inspect.isclass(found) and dataclasses.is_dataclass(found)
+            and found.__module__ == module.__name__}
 
 
 @pytest.mark.parametrize('name', sorted(data_classes().keys() - CHANGING))

@@ -17,6 +17,7 @@ from robot_kinds import KINDS as ROBOT_KINDS
 
 from manip_sim.control.command_parser import CartesianParser, CommandParser
 from manip_sim.control.commands import Status
+from manip_sim.control.law import period as compiled
 from manip_sim.control.modes import MODES as CONTROL_MODES
 from manip_sim.errors import (
     CommandError, DivergenceError, ManipSimError, ModelError, SimulationEnded, UnknownNameError)
@@ -29,7 +30,6 @@ from manip_sim.models.world import compose_robot, DEFAULT, World
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.simulation import Simulation
 from manip_sim.worlds import commands, Worlds
-from manip_sim.worlds.commands import renew
 from manip_sim.worlds.worlds import PhysicsThreads
 
 NOISE = {'type': 'uniform', 'magnitude': 0.05}
@@ -424,7 +424,8 @@ def test_streams_go_on_in_worlds_in_which_nothing_has_changed(pair, mode, change
     start(pair, mode)
     names, renewed = pair.simulations[0].robot.joint_names[:7], []
     start_at = pair.worlds.robot.state().position[:, :7] if mode == 'position' else 0.0
-    monkeypatch.setattr(commands, 'renew', lambda table, robots, worlds, *rest: (
+    renew = compiled.renew
+    monkeypatch.setattr(compiled, 'renew', lambda table, robots, worlds, *rest: (
         renewed.append(len(worlds)), renew(table, robots, worlds, *rest)))
     for period in range(12):
         if period == 5 and (mode == 'position' or change is not _wait_for_a_trajectory):
