@@ -191,14 +191,14 @@ class ActuatorEfforts:
 
     @property
     def values(self) -> FloatArray:
-        """The efforts [N m or N], shape (nv,)."""
-        self.keep()
-        return self._values
+        """
+        The efforts [N m or N], shape (nv,).
 
-    def keep(self) -> None:
-        """Compute the efforts while the moments of the present instant are those of the step."""
+        They are computed at once, while the moments of the present instant are those of the step.
+        """
         if self.stale[0]:
             compute([self])
+        return self._values
 
     @property
     def _world(self) -> _World:

@@ -76,7 +76,7 @@ class BodyForces:
 
     def _find_tool(self) -> None:
         model, data = self._physics.model, self._physics.data
-        self.keep()
+        _ = self.mean  # Of the model before.
         self.bodies = self._find_bodies()
         self.forces = data.cfrc_ext[self.bodies]
         self._centre = data.subtree_com[model.body_rootid[self.bodies.start]]
@@ -159,19 +159,16 @@ class BodyForces:
 
     @property
     def mean(self) -> FloatArray:
-        """Mean force and torque about the origin in world axes in the last control period."""
-        return self._compute_mean() if self._mean is None else self._mean
+        """
+        Mean force and torque about the origin in world axes in the last control period.
 
-    def keep(self) -> None:
-        """Compute the mean, which the records of the next period leave as it is."""
+        Once it is computed, the records of the next period leave it as it is.
+        """
         if self._mean is None:
-            self._compute_mean()
-
-    def _compute_mean(self) -> FloatArray:
-        if self._rows:
-            self._sum_up()
-        mean = self._sum / self._steps
-        self._mean = mean if np.abs(mean).max(initial=0.0) > _ROUNDING else self._zero
+            if self._rows:
+                self._sum_up()
+            mean = self._sum / self._steps
+            self._mean = mean if np.abs(mean).max(initial=0.0) > _ROUNDING else self._zero
         return self._mean
 
     def restart(self, data: mujoco.MjData) -> None:
@@ -239,11 +236,6 @@ class RobotForces(BodyForces):
         moment = np.stack([moved[:, first, second] - moved[:, second, first]
                            for first, second in ((1, 2), (2, 0), (0, 1))], axis=1)
         return np.concatenate([force, torque + moment], axis=1)
-
-    @property
-    def mean(self) -> FloatArray:
-        """Mean force and torque about the origin of ``world`` on each body, shape (m, 6)."""
-        return super().mean
 
 
 def subtree_size(model: mujoco.MjModel, root: int) -> int:

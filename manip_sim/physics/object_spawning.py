@@ -182,7 +182,7 @@ def start_live(plan: WorldPlan) -> LiveWorld:
 def in_common(live: LiveWorld, plan: WorldPlan) -> ElementMap:
     """Return the elements that a running world has in common with the world of a plan."""
     both = plan.since
-    if both is None or not both.begins_with(live.plan.compiled):
+    if both is None or both.old() is not live.plan.compiled:
         both = ElementMap(live.plan.compiled, plan.compiled)
     return both
 
@@ -247,7 +247,8 @@ class ElementMap:
     def __init__(self, old: Any, new: Any) -> None:
         for struct in ('mjModel', 'mjData'):
             _arrays(struct)  # Slow the first time, and not while the physics waits.
-        self._old = weakref.ref(old)
+        #: The first model, weakly.
+        self.old = weakref.ref(old)
         self._places: dict[str, tuple[IntArray, IntArray]] = {}
         for size, kind in _NAMED.items():
             self._add(size, _keys(old, kind), _keys(new, kind))
@@ -261,10 +262,6 @@ class ElementMap:
             self._add_parts(old, new, actuators, 'nu', _spans_of_actuators('ctrl'))
             self._add_parts(old, new, actuators, 'nout', _spans_of_actuators('out'))
         self._add_parts(old, new, 'nbody', 'nmocap', _mocap_of_body)
-
-    def begins_with(self, model: mujoco.MjModel) -> bool:
-        """Return whether it was made of a model, as the one with the old elements."""
-        return self._old() is model
 
     def _add(self, size: str, old: list[Any], new: list[Any]) -> None:
         place = {key: index for index, key in enumerate(new)}
@@ -312,7 +309,10 @@ def carry_edits(compiled: mujoco.MjModel, edited: Any, target: Any, both: Elemen
         if name not in _DERIVED:
             differs: BoolArray = (before != after).reshape(len(after), -1).any(axis=1)
             old, new = old[differs[old]], new[differs[old]]
-        _assign(other, new, after[old])
+        # An array of user data is as wide as that of the element with most of them.
+        width: tuple[Any, ...] = tuple(
+            slice(min(n, m)) for n, m in zip(other.shape[1:], after.shape[1:]))
+        other[(new, *width)] = after[(old, *width)]
     for group in ('opt', 'vis', 'stat'):
         _copy_fields(getattr(edited, group), getattr(target, group))
 
@@ -328,12 +328,6 @@ def _arrays(struct: str) -> dict[str, str]:
         if extent and isinstance(extent[0], str) and hasattr(bound, field.name):
             sizes[field.name] = extent[0]
     return sizes
-
-
-def _assign(target: Any, rows: IntArray, values: Any) -> None:
-    # An array of user data is as wide as that of the element with most of them.
-    width = tuple(slice(min(n, m)) for n, m in zip(target.shape[1:], values.shape[1:]))
-    target[(rows, *width)] = values[(slice(None), *width)]
 
 
 def _copy_fields(source: Any, target: Any) -> None:

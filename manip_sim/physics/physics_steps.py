@@ -131,8 +131,10 @@ class PhysicsSteps:
     :param seats: laws that act between the halves of a step, of each robot
     :param edits: of the model between periods, such as the speeds of belts
     :ivar physics: of the world
+    :ivar efforts: of the last step; without room :meth:`finish` has to record them
     :ivar divergence: keeps the state at the beginning of the period
     :ivar computed_from: the whole state that the present forces were computed from
+    :ivar first_half: the parts of a state that the first half of a step depends on
     :ivar seats: laws that act between the halves of a step, of each robot
     :ivar measuring: called within the period, with all of that instant computed, by after how many
         steps of the period that is; it changes nothing of the physics
@@ -143,7 +145,7 @@ class PhysicsSteps:
                  seats: Sequence[StepLaws] = (), edits: Sequence[ModelEdit] = ()) -> None:
         self.physics, self._edits = physics, tuple(edits)
         self._clock = clock
-        self._efforts = efforts
+        self.efforts = efforts
         self.tools: tuple[BodyForces, ...] = tuple(tools)
         self._laws, self.seats = tuple(laws), tuple(seats)
         self.measuring: Mapping[int, Callable[[], None]] = {}
@@ -184,7 +186,7 @@ class PhysicsSteps:
         self._rebind_tools()
         self.computed_from: FloatArray = np.empty(mujoco.mj_stateSize(model, PHYSICS))
         mujoco.mj_getState(model, data, self.computed_from, PHYSICS)
-        self._first_half = _places(model, _FIRST_HALF)
+        self.first_half = _places(model, _FIRST_HALF)
         self._pushed, self._begin = False, 0
         #: Holds the computed quantities while something is measured.
         self._aside: mujoco.MjData | None = None
@@ -231,7 +233,7 @@ class PhysicsSteps:
         self._edit()
         self._resumes = self._may_resume and all([
             state[part].tobytes() == self.computed_from[part].tobytes()
-            for part in self._first_half])
+            for part in self.first_half])
 
     def _edit(self) -> None:
         """Edit the model as the present state says; an edit makes computed quantities outdated."""
@@ -285,7 +287,7 @@ class PhysicsSteps:
     def restart(self) -> None:
         """Compute all of a state that was set, without what came before."""
         self.compute()
-        self._efforts.restart()
+        self.efforts.restart()
         for tool in self.tools:
             tool.restart(self._data)
 
@@ -303,7 +305,10 @@ class PhysicsSteps:
         if seats:
             step = partial(_step_with_laws, seats, mujoco.mj_step1)
         # All that depends on positions and velocities alone may have been computed already.
-        next_step, self._resumes = (self._second_half(seats) if self._resumes else step), False
+        next_step = step
+        if self._resumes:
+            next_step = partial(_step_with_laws, seats, None) if seats else mujoco.mj_step2
+        self._resumes = False
         for steps in self._interrupted(intervals) if self.measuring else intervals:
             for _ in range(steps):
                 for law in laws:
@@ -315,20 +320,6 @@ class PhysicsSteps:
                         if forces.tobytes() != none:
                             record()
             self._clock.count(steps)
-
-    def _second_half(self, seats: Sequence[StepLaws]
-                     ) -> Callable[[mujoco.MjModel, mujoco.MjData], None]:
-        return partial(_step_with_laws, seats, None) if seats else mujoco.mj_step2
-
-    @property
-    def first_half(self) -> Sequence[slice]:
-        """The parts of a state that the first half of a step depends on."""
-        return self._first_half
-
-    @property
-    def efforts(self) -> ActuatorEfforts:
-        """The efforts of the last step; without room :meth:`finish` has to record them."""
-        return self._efforts
 
     def resumes_after_laws(self, act: bool) -> int:
         """
@@ -343,7 +334,7 @@ class PhysicsSteps:
     @property
     def goes_on(self) -> bool:
         """True if laws may run the next period too while nothing is changed or pushes a tool."""
-        return (self.lets_laws_step and self._efforts.room is not None and self._touch.may_go_on
+        return (self.lets_laws_step and self.efforts.room is not None and self._touch.may_go_on
                 and not any([edit.acts for edit in self._edits])
                 and all([not tool.goes_on for tool in self.tools]))
 
@@ -390,23 +381,23 @@ class PhysicsSteps:
         if self._aside is None:
             self._aside = mujoco.MjData(self._model)
         mujoco.mj_copyData(self._aside, self._model, self._data)
-        efforts = self._efforts.set_aside()
+        efforts = self.efforts.set_aside()
         wrenches = [tool.set_aside() for tool in self.tools]
         self.finish()
         for tool in self.tools:
             tool.interrupt(steps)
         self.measuring[steps]()
         # The next step and control find what they would have found.
-        self._efforts.take_back(efforts)
+        self.efforts.take_back(efforts)
         for tool, wrench in zip(self.tools, wrenches):
             tool.take_back(wrench)
         mujoco.mj_copyData(self._data, self._model, self._aside)
 
     def keep_measured(self) -> None:
         """Compute efforts and forces of the last period, for commands that come within one."""
-        self._efforts.keep()
+        _ = self.efforts.values
         for tool in self.tools:
-            tool.keep()
+            _ = tool.mean
 
     def begin_run(self) -> None:
         """Prepare for :meth:`run`, which is called for the intervals of a period."""
@@ -414,7 +405,7 @@ class PhysicsSteps:
 
     def finish(self) -> None:
         """Compute all of the new instant, at the end of a period."""
-        self._efforts.record()
+        self.efforts.record()
         # After mj_step the sensors are one step older than the positions.
         self.compute()
 

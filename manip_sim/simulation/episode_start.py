@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import threading
 from typing import Any, Protocol
@@ -32,8 +32,13 @@ from manip_sim.validation import check_kind, mapping
 
 #: Drawn values, by ``group/name/quantity``: a number or several, in SI units.
 Sample = Mapping[str, Any]
-_KINDS = {'bodies': 'body', 'geoms': 'geom', 'joints': 'joint', 'lights': 'light',
-          'cameras': 'cam'}
+#: By group: name of the kind of element in messages, its number for MuJoCo, and its count.
+_KINDS = {
+    'bodies': ('body', mujoco.mjtObj.mjOBJ_BODY, 'nbody'),
+    'geoms': ('geom', mujoco.mjtObj.mjOBJ_GEOM, 'ngeom'),
+    'joints': ('joint', mujoco.mjtObj.mjOBJ_JOINT, 'njnt'),
+    'lights': ('light', mujoco.mjtObj.mjOBJ_LIGHT, 'nlight'),
+    'cameras': ('cam', mujoco.mjtObj.mjOBJ_CAMERA, 'ncam')}
 #: The field of a model that a quantity is, and its place in a row; None for the whole row.
 _FIELDS: Mapping[tuple[str, str], tuple[str, int | None]] = {
     ('bodies', 'mass'): ('body_mass', None), ('bodies', 'position'): ('body_pos', None),
@@ -77,12 +82,10 @@ class Element:
 
     def __init__(self, model: mujoco.MjModel, key: str) -> None:
         self.group, self.name, self.quantity = split(key)
-        kind = _KINDS[self.group]
-        self.id = mujoco.mj_name2id(model, getattr(
-            mujoco.mjtObj, 'mjOBJ_CAMERA' if kind == 'cam' else f'mjOBJ_{kind.upper()}'),
-            self.name)
+        noun, kind, _ = _KINDS[self.group]
+        self.id = mujoco.mj_name2id(model, kind, self.name)
         if self.id < 0:
-            raise UnknownNameError(kind, self.name, element_names(model)[self.group])
+            raise UnknownNameError(noun, self.name, element_names(model)[self.group])
         self.field, self._place = _FIELDS[self.group, self.quantity]
         rows: Any = self.id
         if self.group == 'joints':
@@ -137,11 +140,9 @@ def _sizes(model: mujoco.MjModel, geom: int, name: str) -> int:
 
 def element_names(model: mujoco.MjModel) -> dict[str, list[str]]:
     """Return the names of all elements of which something can be drawn, by group."""
-    return {group: [getattr(model, kind)(index).name
-                    for index in range(getattr(model, f'n{size}'))]
-            for group, kind, size in (
-                ('bodies', 'body', 'body'), ('geoms', 'geom', 'geom'), ('joints', 'joint', 'jnt'),
-                ('lights', 'light', 'light'), ('cameras', 'camera', 'cam'))}
+    return {group: [mujoco.mj_id2name(model, kind, index) or ''
+                    for index in range(getattr(model, count))]
+            for group, (_, kind, count) in _KINDS.items()}
 
 
 def apply_to_model(model: mujoco.MjModel, nominal: mujoco.MjModel, drawn: Sample,
@@ -191,7 +192,11 @@ class DomainRandomizer:
 
     def __init__(self, given: RandomizationLike | None, physics: Physics,
                  sensing: Mapping[str, Measured], lawful: Iterable[str] = ()) -> None:
-        self._physics, self._sensing = physics, dict(sensing)
+        self._physics = physics
+        #: Begin of the names of the settings of each robot.
+        self._begins = {robot: '' if len(sensing) == 1 else f'{robot}.' for robot in sensing}
+        self._settings = {f'{self._begins[robot]}{name}': (measured, name)
+                          for robot, measured in sensing.items() for name in QUANTITIES}
         self.drawn: Sample = {}
         self._seed = 0
         self._given = None if given is None else Randomization(given)
@@ -210,10 +215,7 @@ class DomainRandomizer:
                                  'cannot be drawn')
 
     def _names(self) -> dict[str, list[str]]:
-        is_single = len(self._sensing) == 1
-        return {**element_names(self._physics.plan.compiled), OF_NODE: [
-            name if is_single else f'{robot}.{name}'
-            for robot in self._sensing for name in QUANTITIES]}
+        return {**element_names(self._physics.plan.compiled), OF_NODE: [*self._settings]}
 
     def _rules(self) -> dict[str, Rule]:
         return {} if self._given is None else self._given.resolve(self._names(), strict=False)
@@ -256,7 +258,7 @@ class DomainRandomizer:
         element = Element(nominal, key)
         value = element.read(nominal) if pose is None else pose
         if element.quantity == 'orientation':
-            value = wxyz_to_xyzw(turned(value, rule.applied(np.zeros(3), draw)))
+            value = wxyz_to_xyzw(_turned(value, rule.applied(np.zeros(3), draw)))
         else:
             value = rule.applied(value, draw)
         return value.tolist() if len(value) > 1 else float(value[0])
@@ -278,38 +280,30 @@ class DomainRandomizer:
         apply_to_model(physics.model, nominal, drawn, before)
         for key, value in drawn.items():
             group, name, _ = split(key)
-            if group == OF_NODE:
-                self._set_parameter(name, value)
-
-    def _set_parameter(self, name: str, value: float) -> None:
-        is_single = len(self._sensing) == 1
-        for robot, sensing in self._sensing.items():
-            begin = '' if is_single else f'{robot}.'
-            if name.startswith(begin) and name[len(begin):] in QUANTITIES:
-                sensing.set(name[len(begin):], value)
+            if group == OF_NODE and name in self._settings:
+                measured, quantity = self._settings[name]
+                measured.set(quantity, value)
 
     def replace_parameter(self, robot: str, name: str, value: float) -> None:
         """Let a value that was set by hand replace the drawn one, until the next draw."""
-        key = f'{OF_NODE}/{name}' if len(self._sensing) == 1 else f'{OF_NODE}/{robot}.{name}'
+        key = f'{OF_NODE}/{self._begins.get(robot, "")}{name}'
         if key in self.drawn:
             self.drawn = {**self.drawn, key: float(value)}
 
-    @property
-    def _posed(self) -> list[str]:
-        """The keys of poses of free bodies."""
-        return [key for key in self.drawn if self._free(key) is not None]
-
-    def _free(self, key: str) -> int | None:
-        """Return where the pose of a free body is in ``qpos``; None if it is another key."""
-        group, name, quantity = split(key)
-        if group != 'bodies' or quantity == 'mass':
-            return None
+    def _posed(self) -> Iterator[tuple[str, slice]]:
+        """Yield the keys of drawn poses of free bodies, and where they are in ``qpos``."""
         model = self._physics.model
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-        if body < 0 or not model.body_jntnum[body]:
-            return None
-        joint = int(model.body_jntadr[body])
-        return int(model.jnt_qposadr[joint]) if int(model.jnt_type[joint]) == _FREE else None
+        for key in self.drawn:
+            group, name, quantity = split(key)
+            if group != 'bodies' or quantity == 'mass':
+                continue
+            body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+            if body < 0 or not model.body_jntnum[body]:
+                continue
+            joint = int(model.body_jntadr[body])
+            if int(model.jnt_type[joint]) == _FREE:
+                at = int(model.jnt_qposadr[joint])
+                yield key, slice(at, at + 3) if quantity == 'position' else slice(at + 3, at + 7)
 
     def place(self, data: mujoco.MjData) -> None:
         """
@@ -317,20 +311,16 @@ class DomainRandomizer:
 
         :param data: changed; ``mj_forward`` is left to the caller
         """
-        for key in self._posed:
-            value, at = self.drawn[key], self._free(key)
-            assert at is not None
-            if key.endswith('/position'):
-                data.qpos[at:at + 3] = value
-            else:
-                data.qpos[at + 3:at + 7] = xyzw_to_wxyz(value)
+        for key, places in self._posed():
+            value = self.drawn[key]
+            data.qpos[places] = value if key.endswith('/position') else xyzw_to_wxyz(value)
 
-    def free_poses(self, data: mujoco.MjData) -> FloatArray:
-        """Return the poses of the free bodies that are drawn, one after the other."""
-        return np.concatenate([np.empty(0), *(data.qpos[self._free(key):][:7]
-                                              for key in self._posed)])
+    def free_poses(self, data: mujoco.MjData) -> dict[str, FloatArray]:
+        """Return present positions and orientations of free bodies that are drawn, by key."""
+        return {key: data.qpos[places].copy() for key, places in self._posed()}
 
-    def place_again(self, data: mujoco.MjData, before: FloatArray, keeps: bool) -> None:
+    def place_again(self, data: mujoco.MjData, before: Mapping[str, FloatArray], keeps: bool
+                    ) -> None:
         """
         Draw the poses of free bodies that something else has placed since, from where they are.
 
@@ -338,23 +328,17 @@ class DomainRandomizer:
         :param before: what :meth:`free_poses` has returned before that
         :param keeps: whether the poses that are known are to be taken instead of draws
         """
-        rules, drawn = self._rules(), dict(self.drawn)
-        old = dict(zip(self._posed, before.reshape(-1, 7)))
-        for key, pose in old.items():
-            at = self._free(key)
-            assert at is not None
-            places = slice(at, at + 3) if key.endswith('/position') else slice(at + 3, at + 7)
-            here = data.qpos[places].copy()
-            stays = np.array_equal(here, pose[:3] if len(here) == 3 else pose[3:])
-            if keeps or key not in rules or stays:
-                continue
-            drawn[key] = self._drawn_value(key, rules[key], self._seed,
-                                           self._physics.plan.compiled, here)
-        self.drawn = drawn
+        if not keeps:
+            rules = self._rules()
+            self.drawn = {**self.drawn, **{
+                key: self._drawn_value(key, rules[key], self._seed, self._physics.plan.compiled,
+                                       here)
+                for key, here in self.free_poses(data).items()
+                if key in rules and not np.array_equal(here, before[key])}}
         self.place(data)
 
 
-def turned(quat_wxyz: FloatArray, by: FloatArray) -> FloatArray:
+def _turned(quat_wxyz: FloatArray, by: FloatArray) -> FloatArray:
     """Return an orientation that is turned by a rotation vector in its own axes [rad]."""
     product, turn = np.empty(4), np.array([1.0, 0.0, 0.0, 0.0])
     mujoco.mju_quatIntegrate(turn, by, 1.0)

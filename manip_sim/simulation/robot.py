@@ -180,12 +180,17 @@ class SimulatedRobot:
 
     def _goes_on(self, command: Command, period_s: float | None) -> bool:
         """Let compiled code go on with a command like the one before; return whether it does."""
-        if not self._physics.standing.item(STEPS) or period_s not in (None, self._period_s) or (
-                self.faults.scheduled or self.sensing.settings.delays_commands
-                or self.reflexes.tripped):
+        if not self._physics.standing.item(STEPS) or not self._applies_at_once or (
+                period_s not in (None, self._period_s)):
             return False
         self.check_own(command)
         return self.runs.go_on(command, self._period_s)
+
+    @property
+    def _applies_at_once(self) -> bool:
+        """True if commands take effect at once, and none is lost or refused."""
+        return not (self.faults.scheduled or self.sensing.settings.delays_commands
+                    or self.reflexes.tripped)
 
     def _apply(self, command: Command) -> None:
         clock = self._clock
@@ -613,11 +618,9 @@ class SimulatedRobot:
         :param command: that was applied, nobody else has it
         :returns: address of the row of the robot; 0 if it has to be applied
         """
-        if self.faults.scheduled or self.sensing.settings.delays_commands or (
-                self.reflexes.tripped) or not command.handle.is_active or not any(
-                [other is command for other in self.joints.commands.running]):
-            return 0
-        return self.runs.address
+        goes_on = self._applies_at_once and command.handle.is_active and any(
+            [other is command for other in self.joints.commands.running])
+        return self.runs.address if goes_on else 0
 
     def renews_grip(self, part: str, command: GripperAction) -> int:
         """
@@ -627,9 +630,7 @@ class SimulatedRobot:
         :param command: that was applied, nobody else has it
         :returns: address of the row of the robot; 0 if it has to be applied again
         """
-        if self.faults.scheduled or self.sensing.settings.delays_commands or self.reflexes.tripped:
-            return 0
-        return self.runs.renews(part, command)
+        return self.runs.renews(part, command) if self._applies_at_once else 0
 
     def abort(self, reason: str) -> None:
         """

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 import dataclasses
 import enum
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 import hashlib
 import json
 import sys
@@ -154,13 +154,14 @@ class Decoder:
     """
 
     def __init__(self, fixed: list[object]) -> None:
-        self._fixed = fixed
         self.met: list[Any] = []
         self.values: list[Any] = []
         self._readers: dict[str, Callable[..., Any]] = {
-            'a': _array_of, '@': self._reference, '#': self._again, 'n': _number, 'e': _member,
-            'b': _bytes, 'w': _law, 'T': self._named_tuple, 'd': self._dict, 'o': self._object,
-            'v': self._value}
+            'a': _array_of, 'n': _number, 'e': _member, 'b': _bytes, 'w': _law,
+            '@': lambda index: fixed[_natural(index)],
+            '#': lambda number: self.met[_natural(number)],
+            'T': self._named_tuple, 'd': self._dict, 'o': partial(self._made, self.met),
+            'v': partial(self._made, self.values)}
 
     def decode(self, content: Any) -> Any:
         """
@@ -193,12 +194,6 @@ class Decoder:
         return container([item if type(item) in _AS_IT_IS else read(item)
                           for item in content[1:]])
 
-    def _reference(self, index: int) -> Any:
-        return self._fixed[_natural(index)]
-
-    def _again(self, number: int) -> Any:
-        return self.met[_natural(number)]
-
     def _named_tuple(self, name: str, *items: Any) -> Any:
         cls = _found(name)
         if not issubclass(cls, tuple) or len(items) != len(getattr(cls, '_fields', ())):
@@ -207,12 +202,6 @@ class Decoder:
 
     def _dict(self, *items: Any) -> Any:
         return {self._read(key): self._read(item) for key, item in items}
-
-    def _object(self, name: str, members: dict[str, Any]) -> Any:
-        return self._made(self.met, name, members)
-
-    def _value(self, name: str, members: dict[str, Any]) -> Any:
-        return self._made(self.values, name, members)
 
     def _made(self, made: list[Any], name: str, members: dict[str, Any]) -> Any:
         cls, fields, shapes = _class(name)
@@ -390,19 +379,24 @@ class ControlState:
 
     :param roots: objects from which those with a state are reached through attributes and
         containers, between two control periods
+    :ivar fixed: the objects that a state refers to by index, the same in every simulation of a
+        world: models and frames of robots, which change with the model
+    :ivar index_of: the index of each fixed object, by its ``id``
     """
 
     def __init__(self, roots: Iterable[object]) -> None:
         self._owners: list[Any] = []
         self._grippers: list[GripperModel] = []
-        #: Models and frames of robots, to which commands refer; frames change with the model.
-        self._fixed: list[object] = []
+        self.fixed: list[object] = []
         self._find(list(roots))
-        self._index_of = {id(item): index for index, item in enumerate(self._fixed)}
+        self._number()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)  # In a copy, other objects are fixed.
-        self._index_of = {id(item): index for index, item in enumerate(self._fixed)}
+        vars(self).update(state)
+        self._number()  # In a copy, other objects are fixed.
+
+    def _number(self) -> None:
+        self.index_of = {id(item): index for index, item in enumerate(self.fixed)}
 
     def _find(self, left: list[Any]) -> None:
         seen: set[int] = set()
@@ -416,7 +410,7 @@ class ControlState:
             elif isinstance(item, (list, tuple, set, frozenset)):
                 left += item
             elif isinstance(item, (MujocoXMLModel, Frame)):
-                self._fixed.append(item)
+                self.fixed.append(item)
                 if isinstance(item, GripperModel):
                     self._grippers.append(item)
             elif type(item).__module__.startswith(_CONTROL_ROOMS) and hasattr(item, '__dict__'):
@@ -433,16 +427,6 @@ class ControlState:
                   for owner in self._owners), *map(_numbers, self._grippers)]
 
     @property
-    def fixed(self) -> list[object]:
-        """The objects that a state refers to by index, the same in every simulation of a world."""
-        return self._fixed
-
-    @property
-    def index_of(self) -> Mapping[int, int]:
-        """The index of each fixed object, by its ``id``."""
-        return self._index_of
-
-    @property
     def count(self) -> int:
         """Number of objects of this package with a state, the first in :meth:`content`."""
         return len(self._owners)
@@ -452,7 +436,7 @@ class ControlState:
         """The objects with a state, what they remember, and the models that it refers to."""
         return ' '.join([*(f'{type(owner).__qualname__}({",".join(owner.remembered)})'
                            for owner in self._owners),
-                         *(type(item).__qualname__ for item in self._fixed
+                         *(type(item).__qualname__ for item in self.fixed
                            if not isinstance(item, Frame))])
 
     def encoded(self, encoder: Encoder) -> list[dict[str, Any]]:

@@ -246,7 +246,7 @@ def start(task: Task, simulation: Simulation, seed: int, drawn: Sample | None = 
     randomized = simulation.randomized
     before = randomized.free_poses(simulation.data)
     task.start(simulation, np.random.default_rng(seed))
-    if before.size:
+    if before:
         randomized.place_again(simulation.data, before, drawn is not None)
     simulation.forward()
     for robot in simulation.robots.values():
