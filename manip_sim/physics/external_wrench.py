@@ -250,11 +250,9 @@ class ExternalWrench(BodyForces):
     """
     The wrench of the world on a tool, as an integrating force/torque sensor reads it.
 
-    In each step MuJoCo keeps the external forces on each body in ``cfrc_ext``, in world axes,
-    about the centre of mass of the tree; :class:`UncollectedForces` has the others. Their sum over
-    the bodies of the tool is the negated reading of the sensor minus gravity and inertia of the
-    tool. Weight and inertia of a declared payload, by its motion as a part of the tool, are taken
-    away too.
+    The sum of external forces, those of :class:`UncollectedForces` included, over the bodies of
+    the tool is the negated reading of the sensor minus gravity and inertia of the tool. Weight and
+    inertia of a declared payload, by its motion as a part of the tool, are taken away too.
 
     :param physics: of the world
     :param sensor: name of a sensor of its frame
@@ -300,13 +298,7 @@ class ExternalWrench(BodyForces):
         return np.array([*force, *(torque + [yz - zy, zx - xz, xy - yx])])
 
     def end_period(self, data: mujoco.MjData, steps: int, period_s: float) -> None:
-        """
-        Take the mean of the record of a control period; steps without record are zero.
-
-        :param data: the ``mujoco.MjData``, after ``mj_forward``
-        :param steps: physics steps of the period
-        :param period_s: its length [s]
-        """
+        """Take the mean of the record of a control period, and filter it."""
         super().end_period(data, steps, period_s)
         if self.payload.mass:
             self._momentum = self._present_momentum(data)
@@ -317,11 +309,7 @@ class ExternalWrench(BodyForces):
                 lag if np.abs(lag).max() < _ROUNDING else weight * lag)
 
     def interrupt(self, steps: int) -> None:
-        """
-        Take the mean of the record so far in a control period, which goes on; no filter.
-
-        :param steps: physics steps since the period began
-        """
+        """Take the mean of the record so far in a control period, without the payload's part."""
         super().interrupt(steps)
         if self.payload.mass:
             self._take_payload_away(steps)

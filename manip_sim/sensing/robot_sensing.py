@@ -86,15 +86,6 @@ class InTransit(Generic[Sent]):
         """
         self._queue.append((arrival, value))
 
-    @property
-    def last(self) -> Sent | None:
-        """The value sent last."""
-        return self._queue[-1][1] if self._queue else None
-
-    def withdraw_last(self) -> int:
-        """Forget the value sent last, and return when it would have arrived."""
-        return self._queue.pop()[0]
-
     def take(self, count: int) -> Iterator[Sent]:
         """
         Yield and forget the arrived values, in the order in which they were sent.
@@ -134,8 +125,8 @@ class Measurements(InTransit[tuple[int, Sent]]):
         :param delay: until it arrives, in steps; the first one is known at once
         """
         arrival = count + delay if self else count
-        while (last := self.last) is not None and last[0] >= count:
-            arrival = self.withdraw_last()
+        while self._queue and self._queue[-1][1][0] >= count:
+            arrival = self._queue.pop()[0]
         self.send((count, value), arrival)
 
 
@@ -204,9 +195,8 @@ class RobotSensing:
 
     def __init__(self, name: str, steps: Steps, timestep_s: float,
                  interrupt: Callable[[], None]) -> None:
-        self._name, self._interrupt = name, interrupt
-        self._steps = steps
-        self._timestep_s = timestep_s
+        self._interrupt = interrupt
+        self._steps, self._timestep_s = steps, timestep_s
         self.settings = SensingSettings()
         self.seed = 0
         self._channels: dict[str, tuple[Channel | None, Read]] = {}

@@ -30,6 +30,9 @@ _STUCK_FRICTION = 1e4
 _MOST = 1000
 #: End of what never ends, in steps.
 _NEVER = 2**62
+#: A fault of an episode: what, part, first step, step after the last one, value and a number;
+#: plain, so that it can be written.
+_Scheduled = tuple[str, str, int, int, float, int]
 
 
 class RobotFaults:
@@ -40,8 +43,7 @@ class RobotFaults:
 
     :param reader: of the robot
     :param clock: of the simulation
-    :ivar scheduled: of each fault: what, part, first step, step after the last one, value and a
-        number; plain, so that it can be written
+    :ivar scheduled: the faults of the episode
     :ivar lost: number of commands that each has lost
     :ivar seen: measurement of the joints while states are at fault, shape (3 n,), else None
     """
@@ -50,19 +52,19 @@ class RobotFaults:
 
     def __init__(self, reader: RobotReader, clock: Clock) -> None:
         self._reader, self._clock = reader, clock
-        self.scheduled: list[tuple[str, str, int, int, float, int]] = []
+        self.scheduled: list[_Scheduled] = []
         self.lost: list[int] = []
         self.seen: FloatArray | None = None
         #: Memory of the joints of a part, by place in the schedule: the measurement that came
         #: last, or all of them and when.
         self._held: dict[int, list[tuple[int, FloatArray]]] = {}
 
-    def set(self, scheduled: Iterable[tuple[str, str, int, int, float, int]]) -> None:
+    def set(self, scheduled: Iterable[_Scheduled]) -> None:
         """Begin an episode with some faults."""
-        self.scheduled, self.lost, self.seen, self._held = [*scheduled], [], None, {}
+        self.scheduled, self.seen, self._held = [*scheduled], None, {}
         self.lost = [0] * len(self.scheduled)
 
-    def add(self, fault: tuple[str, str, int, int, float, int]) -> None:
+    def add(self, fault: _Scheduled) -> None:
         """Add a fault to the episode."""
         self.scheduled = [*self.scheduled, fault]
         self.lost = [*self.lost, 0]
@@ -218,7 +220,7 @@ class Faults:
                 fault, begin, end, value, number + len(self._plan), self._clock.control_steps))
 
     def _scheduled(self, fault: PlannedFault, begin_s: float, end_s: float, value: float,
-                   number: int, now: int) -> tuple[str, str, int, int, float, int]:
+                   number: int, now: int) -> _Scheduled:
         begin, end = (_NEVER if math.isinf(time_s) else
                       now + math.ceil(time_s / (self._clock.step_ns * 1e-9) - 1e-6)
                       for time_s in (begin_s, end_s))

@@ -139,7 +139,7 @@ class MeasuredInstruments:
         for instrument in self.sensors.instruments:
             owner = owners.get(instrument.sensors[0], robots[0])
             sensing = self._sensing[instrument.name] = owner.sensing
-            sensing.add(_CHANNELS + instrument.name, partial(self._exact, instrument.name),
+            sensing.add(_CHANNELS + instrument.name, partial(self._exact, instrument),
                         InstrumentChannel(instrument, self._physics.model,
                                           self._noise.get(instrument.name, 0.0)))
 
@@ -167,9 +167,7 @@ class MeasuredInstruments:
         return next((robot for robot in robots if robot.robot_model.root_body in names),
                     robots[0]).sensing
 
-    def _exact(self, name: str) -> FloatArray:
-        instrument = self.sensors.instrument(name)
-        assert instrument is not None
+    def _exact(self, instrument: Instrument) -> FloatArray:
         return instrument.read(self._physics.data)
 
     def measured(self, instrument: Instrument) -> FloatArray:
@@ -181,5 +179,5 @@ class MeasuredInstruments:
         """
         sensing = self._sensing.get(instrument.name)
         if sensing is None or not (sensing.settings.measures or instrument.name in self._noise):
-            return instrument.read(self._physics.data)
+            return self._exact(instrument)
         return sensing.measured(_CHANNELS + instrument.name)

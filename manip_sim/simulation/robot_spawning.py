@@ -12,7 +12,6 @@ periods, which is quick.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,7 +22,6 @@ from manip_sim.models.actuators import add_setpoint_activation, position_servos_
 from manip_sim.models.arenas import Arena
 from manip_sim.models.bases import base_names
 from manip_sim.models.grippers import gripper_names
-from manip_sim.models.object_model import ObjectModel
 from manip_sim.models.registry import is_path
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.user_files import AllowedRoots, InMemoryFile, split_arguments, stem_of
@@ -31,7 +29,6 @@ from manip_sim.models.world import compensate_free_robots, DEFAULT, NONE, World
 from manip_sim.physics.object_spawning import ElementMap, plan_world, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import format_value
-from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.validation import check_kind
 
 #: Robots that a world may have, so that requests cannot fill the memory.
@@ -86,7 +83,9 @@ def actuators_of(world: World) -> list[str]:
 class RunningWorld(Protocol):
     """A simulation, which the plans of its next worlds are made from."""
 
-    robots: dict[str, SimulatedRobot]
+    @property
+    def robots(self) -> Mapping[str, object]:
+        """The robots that there are now, by name."""
 
     @property
     def world(self) -> World:
@@ -155,12 +154,12 @@ def plan_in_arena(simulation: RunningWorld, arena: Arena, cameras: Iterable[str]
     :raises ModelError: if the world draws where objects are placed, a camera is missing, or MuJoCo
         cannot compile the world
     """
-    world: World = copy.copy(simulation.world)
+    world = simulation.world
     if world.randomization is not None:
         raise ModelError('the world draws its objects and properties at random, which belong to '
                          'its arena')
     world.arena, world.objects = arena, list(arena.objects)
-    plan = _follow(simulation, world, objects=tuple(world.objects))
+    plan = _follow(simulation, world)
     there = {camera.name for camera in plan.plan.spec.cameras}
     for camera in cameras:
         if camera not in there:
@@ -169,14 +168,15 @@ def plan_in_arena(simulation: RunningWorld, arena: Arena, cameras: Iterable[str]
     return plan
 
 
-def _follow(simulation: RunningWorld, world: World, start: Mapping[str, float] | None = None,
-            objects: tuple[ObjectModel, ...] | None = None) -> RobotsPlan:
+def _follow(simulation: RunningWorld, world: World, start: Mapping[str, float] | None = None
+            ) -> RobotsPlan:
     before = simulation.plan
     base = compose_base(world)
     base.compiler.discardvisual = before.base.compiler.discardvisual
-    plan = plan_world(base, before.objects if objects is None else objects, world.name)
-    return RobotsPlan(world, replace(plan, since=ElementMap(before.compiled, plan.compiled)),
-                      start or {})
+    plan = plan_world(base, tuple(world.objects), world.name)
+    return RobotsPlan(
+        world, replace(plan, since=ElementMap(before.compiled, plan.compiled)),
+        start or {})
 
 
 #: Name of a robot that is sent as text.
