@@ -105,6 +105,15 @@ def _box_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int, position: Flo
     return Box(center - half, center + half)
 
 
+def body_pose(data: mujoco.MjData, body: int) -> FloatArray:
+    """
+    Return the pose of a body in ``world`` at the instant of the last ``mj_kinematics``.
+
+    :returns: position [m] and quaternion x, y, z, w, shape (7,)
+    """
+    return np.concatenate([data.xpos[body], wxyz_to_xyzw(data.xquat[body])])
+
+
 @dataclass(frozen=True)
 class EntityState:
     """
@@ -178,8 +187,7 @@ class Entities:
         :returns: position [m] and quaternion x, y, z, w in ``world``, shape (7,)
         :raises UnknownNameError: if the entity is unknown
         """
-        body = self._body(name)
-        return np.concatenate([data.xpos[body], wxyz_to_xyzw(data.xquat[body])])
+        return body_pose(data, self._body(name))
 
     def twist(self, data: mujoco.MjData, name: str) -> FloatArray:
         """

@@ -20,7 +20,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.algebra import wxyz_to_xyzw
+from manip_sim.algebra import relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.errors import CommandError, describe_choices
 from manip_sim.frame_names import FrameNames, ROOT
@@ -200,12 +200,11 @@ class OdometryReader:
         :param data: its ``mujoco.MjData``
         """
         body = int(model.body(self.base).id)
-        inverse, quat_wxyz = np.empty(4), np.empty(4)
-        position, velocity = np.empty(3), np.empty(6)
+        inverse, position, velocity = np.empty(4), np.empty(3), np.empty(6)
         mujoco.mju_negQuat(inverse, self._quat_wxyz)
         mujoco.mju_rotVecQuat(position, data.xpos[body] - self._position, inverse)
-        mujoco.mju_mulQuat(quat_wxyz, inverse, data.xquat[body])
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
+        quat_wxyz = relative_quat_wxyz(self._quat_wxyz, data.xquat[body])
         return Odometry(position, wxyz_to_xyzw(quat_wxyz), velocity[3:], velocity[:3])
 
 
@@ -340,15 +339,7 @@ def _quat_wxyz(matrix: Any) -> FloatArray:
     return quat_wxyz
 
 
-def _inverse_product() -> FloatArray:
-    """Return t with t[i, j, k] p[j] c[k] = p^-1 c as x, y, z, w, for p and c as w, x, y, z."""
-    table, product, inverse = np.empty((4, 4, 4)), np.empty(4), np.empty(4)
-    for j, p in enumerate(np.eye(4)):
-        for k, c in enumerate(np.eye(4)):
-            mujoco.mju_negQuat(inverse, p)
-            mujoco.mju_mulQuat(product, inverse, c)
-            table[:, j, k] = wxyz_to_xyzw(product)
-    return table
-
-
-_INVERSE_PRODUCT = _inverse_product()
+#: t with t[i, j, k] p[j] c[k] = p^-1 c as x, y, z, w, for p and c as w, x, y, z.
+_INVERSE_PRODUCT = np.array([
+    [wxyz_to_xyzw(relative_quat_wxyz(p, c)) for c in np.eye(4)]
+    for p in np.eye(4)]).transpose(2, 0, 1).copy()

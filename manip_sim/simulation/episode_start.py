@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import threading
-from typing import Any, Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -62,13 +62,6 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _ONE_SPEC = threading.Lock()
 #: Duration of the simulation in which coupled joints settle at their start [s].
 _SETTLE_S = 0.5
-
-
-class Measured(Protocol):
-    """The sensing of a robot."""
-
-    def set(self, name: str, value: float) -> None:
-        """Change a setting."""
 
 
 class Element:
@@ -191,12 +184,12 @@ class DomainRandomizer:
     """
 
     def __init__(self, given: RandomizationLike | None, physics: Physics,
-                 sensing: Mapping[str, Measured], lawful: Iterable[str] = ()) -> None:
+                 sensing: Mapping[str, RobotSensing], lawful: Iterable[str] = ()) -> None:
         self._physics = physics
         #: Begin of the names of the settings of each robot.
         self._begins = {robot: '' if len(sensing) == 1 else f'{robot}.' for robot in sensing}
-        self._settings = {f'{self._begins[robot]}{name}': (measured, name)
-                          for robot, measured in sensing.items() for name in QUANTITIES}
+        self._settings = {f'{self._begins[robot]}{name}': (of_robot, name)
+                          for robot, of_robot in sensing.items() for name in QUANTITIES}
         self.drawn: Sample = {}
         self._seed = 0
         self._given = None if given is None else Randomization(given)
@@ -281,8 +274,8 @@ class DomainRandomizer:
         for key, value in drawn.items():
             group, name, _ = split(key)
             if group == OF_NODE and name in self._settings:
-                measured, quantity = self._settings[name]
-                measured.set(quantity, value)
+                sensing, quantity = self._settings[name]
+                sensing.set(quantity, value)
 
     def replace_parameter(self, robot: str, name: str, value: float) -> None:
         """Let a value that was set by hand replace the drawn one, until the next draw."""

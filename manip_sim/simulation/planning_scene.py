@@ -15,7 +15,7 @@ from manip_sim.algebra import matrix_of, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.models.urdf_writer.links import (
     collides, geoms_of_body, subtree, triangles_of, unit_sphere)
-from manip_sim.physics.entities import bodies_in_contact, pulling_bodies
+from manip_sim.physics.entities import bodies_in_contact, body_pose, pulling_bodies
 
 BOX, SPHERE, CYLINDER, MESH = 'box', 'sphere', 'cylinder', 'mesh'
 #: Objects that have moved less are not published again [m], [rad].
@@ -151,7 +151,7 @@ class PlanningScene:
             if name in self.holds or name in changes.detached:
                 self._shown.pop(name, None)
                 continue
-            pose = _pose(data, obstacle.body)
+            pose = body_pose(data, obstacle.body)
             if name not in self._shown:
                 changes.added[name] = self._shown[name] = pose
             elif _differs(pose, self._shown[name]):
@@ -182,7 +182,7 @@ class PlanningScene:
 
     def poses(self, data: mujoco.MjData) -> dict[str, FloatArray]:
         """Return the poses of the objects that are not held, which count as known from now on."""
-        self._shown = {name: _pose(data, obstacle.body)
+        self._shown = {name: body_pose(data, obstacle.body)
                        for name, obstacle in self.obstacles.items() if name not in self.holds}
         return dict(self._shown)
 
@@ -269,10 +269,6 @@ def _insets(model: mujoco.MjModel, robot_bodies: set[int]) -> dict[int, float]:
         if -_CLEARANCE_M < nearest < _CLEARANCE_M:
             insets[geom] = _CLEARANCE_M - nearest
     return insets
-
-
-def _pose(data: mujoco.MjData, body: int) -> FloatArray:
-    return np.concatenate([data.xpos[body], wxyz_to_xyzw(data.xquat[body])])
 
 
 def _relative(data: mujoco.MjData, link: int, body: int) -> FloatArray:
