@@ -113,14 +113,15 @@ def find_instruments(model: mujoco.MjModel) -> list[Instrument]:
             groups.append((kind, group))
             open_groups[key] = group
         group.append(sensor)
-    complete = [part for kind, group in groups for part in _complete(model, kind, group)]
-    instruments: list[Instrument] = []
-    taken: set[str] = set()
-    for kind, group in complete:
-        instrument = _instrument(model, kind, group, taken)
-        taken.add(instrument.topic)
-        instruments.append(instrument)
-    return instruments
+    instruments: dict[str, Instrument] = {}
+    for kind, group in [part for entry in groups for part in _complete(model, *entry)]:
+        instrument = _instrument(model, kind, group)
+        name, number = instrument.name, 2
+        while instrument.topic in instruments:
+            instrument = replace(instrument, name=f'{name}_{number}')
+            number += 1
+        instruments[instrument.topic] = instrument
+    return [*instruments.values()]
 
 
 def _kind(model: mujoco.MjModel, sensor: int) -> str:
@@ -139,7 +140,7 @@ def _complete(model: mujoco.MjModel, kind: str, group: list[int]
     return [(VALUES, [sensor]) for sensor in group] if lacks else [(kind, group)]
 
 
-def _instrument(model: mujoco.MjModel, kind: str, group: list[int], taken: set[str]) -> Instrument:
+def _instrument(model: mujoco.MjModel, kind: str, group: list[int]) -> Instrument:
     sensors = tuple(_name(model, mujoco.mjtObj.mjOBJ_SENSOR, n) or f'sensor_{n}' for n in group)
     elements = tuple(_name(model, int(model.sensor_objtype[n]), int(model.sensor_objid[n]))
                      for n in group)
@@ -157,17 +158,12 @@ def _instrument(model: mujoco.MjModel, kind: str, group: list[int], taken: set[s
         targets.append(np.arange(places.start, places.stop))
     length = _IMU_LENGTH if kind == IMU else sum(map(len, targets))
     name = elements[0] if kind in (IMU, WRENCH) and elements[0] else sensors[0]
-    instrument = Instrument(
+    return Instrument(
         name, kind, _frame(model, group[0]), sensors,
         tuple(sensor_type(model, n) for n in group), elements, np.concatenate(sources),
         np.concatenate(targets), length,
         # MuJoCo shortens longer distances to the cutoff; 0 for none.
         (float(model.sensor_cutoff[group[0]]) or math.inf) if kind == RANGE else math.inf)
-    number = 2
-    while instrument.topic in taken:
-        instrument = replace(instrument, name=f'{name}_{number}')
-        number += 1
-    return instrument
 
 
 def _name(model: mujoco.MjModel, kind: int, number: int) -> str:

@@ -12,14 +12,14 @@ import numpy as np
 
 from manip_sim.arrays import IntArray
 from manip_sim.control.robot_runs import RobotRun
-from manip_sim.errors import DivergenceError
+from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.state_dependent_terms import FloatingBases, SpringForces
-from manip_sim.simulation.compiled_period import (
-    CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS)
+from manip_sim.simulation.compiled_period import CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS
 from manip_sim.simulation.robot import SimulatedRobot
+from manip_sim.validation import whole_number
 
 #: Longest interval in which moving setpoints are linear [s].
 _INTERVAL_S = 0.004
@@ -84,8 +84,10 @@ class ControlPeriods:
         Run a control period.
 
         :param steps: number of physics steps of the period
+        :raises CommandError: if that is not a whole number from 1
         :raises DivergenceError: if the physics diverges, or is on hold
         """
+        steps = whole_number(steps, 1, 'steps', CommandError)
         physics = self._steps.physics
         if physics.standing.item(STEPS) == steps:
             go_on_alone(physics.standing, steps, physics.scratch)

@@ -296,7 +296,7 @@ class DomainRandomizer:
             joint = int(model.body_jntadr[body])
             if int(model.jnt_type[joint]) == _FREE:
                 at = int(model.jnt_qposadr[joint])
-                yield key, slice(at, at + 3) if quantity == 'position' else slice(at + 3, at + 7)
+                yield key, slice(at + 3, at + 7) if quantity == 'orientation' else slice(at, at + 3)
 
     def place(self, data: mujoco.MjData) -> None:
         """

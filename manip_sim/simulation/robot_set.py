@@ -16,6 +16,7 @@ from manip_sim.control.seats import Seats
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.clock import Clock
 from manip_sim.physics.efforts import ActuatorEfforts
+from manip_sim.physics.entities import Entities
 from manip_sim.physics.external_wrench import ExternalWrench
 from manip_sim.physics.physics import Physics
 from manip_sim.physics.state_dependent_terms import FrictionLaws
@@ -37,6 +38,7 @@ class RobotSet:
     :param clock: of the simulation
     :param robots: that are there at the start, all of the model
     :ivar by_name: the robots, in the order of the model
+    :ivar entities: the robots and the free bodies
     """
 
     def __init__(self, physics: Physics, efforts: ActuatorEfforts, clock: Clock,
@@ -62,6 +64,13 @@ class RobotSet:
         for adapts in self._adapts.values():
             for adapt in adapts:
                 adapt()
+        self._find_entities()
+
+    def _find_entities(self) -> None:
+        spawned, robots = self.spawned, self.by_name.values()
+        self.entities = Entities(self._physics.model, {
+            robot.name if robot.name in spawned else robot.robot_model.root_body: robot.frame_body
+            for robot in robots}, [robot.robot_model.root_body for robot in robots])
 
     @property
     def spawned(self) -> list[str]:
@@ -109,6 +118,7 @@ class RobotSet:
         for reader in made.end_effectors.values():
             reader.external.reset(data)
         made.sensing.reset(seed)
+        self._find_entities()
 
 
 class MeasuredInstruments:

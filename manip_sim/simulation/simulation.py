@@ -10,7 +10,7 @@ import copy
 import mujoco
 
 from manip_sim.control.surroundings import Surroundings
-from manip_sim.errors import CommandError, ModelError, UnknownNameError
+from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import EmptyArena
 from manip_sim.models.randomization import checked_seed
 from manip_sim.models.robots import ManipulatorModel, RobotModel
@@ -33,7 +33,6 @@ from manip_sim.simulation.robot_spawning import (
     actuators_of, compose_base, plan_with_robot, plan_without_robot, RobotsPlan)
 from manip_sim.simulation.saved_state import SavedStates, SimulationState
 from manip_sim.simulation.start_defect import find_start_defects
-from manip_sim.validation import whole_number
 
 
 class Simulation:
@@ -53,7 +52,6 @@ class Simulation:
     :ivar instruments: measurements of the sensors of the model
     :ivar sensors: values of all of these sensors, by name
     :ivar lidars: the lidars, by name
-    :ivar entities: reads poses and twists of robots and free bodies, and places free bodies
     :ivar surroundings: mocap bodies, joints of the arena, and actuators of no part
     :ivar pulls: springs that pull bodies
     :ivar periods: runs control periods
@@ -92,7 +90,6 @@ class Simulation:
             self.timestep_s)
         self.instruments = MeasuredInstruments(self.physics, self.robots)
         self.sensors = self.instruments.sensors
-        self.physics.on_change(self._find_entities)
         self.states = SavedStates(self.physics, self._clock, self._steps, self.episode_start,
                                   self.efforts, self.robots)
         self.lidars = Lidars(
@@ -106,13 +103,6 @@ class Simulation:
         self._reset(world.seed)
         self.start_defects = [defect.text for defect in find_start_defects(
             self.model, self.data, self._floating_bases.roots)]
-
-    def _find_entities(self) -> None:
-        spawned = set(self.spawned_robots)
-        self.entities = Entities(self.model, {
-            name if name in spawned else robot.robot_model.root_body: robot.frame_body
-            for name, robot in self.robots.items()},
-            [robot.robot_model.root_body for robot in self.robots.values()])
 
     def change_objects(self, plan: WorldPlan) -> None:
         """
@@ -175,7 +165,6 @@ class Simulation:
             self._floating_bases.apply()
             self._sync_robots()
             self.instruments.rebind()
-            self._find_entities()
             self.states.sync_robots()
             self._steps.compute()
             self._steps.compute_anew()
@@ -184,6 +173,11 @@ class Simulation:
         self._steps.sync_robots(
             self._present.tools, self._present.laws, self._present.seats)
         self.periods.sync_robots()
+
+    @property
+    def entities(self) -> Entities:
+        """Reads poses and twists of robots and free bodies, and places free bodies."""
+        return self._present.entities
 
     @property
     def world(self) -> World:
@@ -304,7 +298,7 @@ class Simulation:
         :raises DivergenceError: if the physics diverges, or has diverged and was not reset; the
             last good state is held, at rest
         """
-        self.periods.advance(whole_number(steps, 1, 'steps', CommandError))
+        self.periods.advance(steps)
 
     def estimate_payload(self, arm: str, robot: str | None = None, steps: int = 5
                          ) -> PayloadEstimate:

@@ -35,7 +35,7 @@ def data_classes():
                for found in pkgutil.walk_packages(room.__path__, f'{room.__name__}.')]
     return {f'{module.__name__.removeprefix("manip_sim.")}.{name}': found
             for module in modules for name, found in vars(module).items()
-            if inspect.isclass(found) and dataclasses.is_dataclass(found)
+            if isinstance(found, type) and dataclasses.is_dataclass(found)
             and found.__module__ == module.__name__}
 
 
