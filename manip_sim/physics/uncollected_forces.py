@@ -20,6 +20,16 @@ import numpy as np
 
 from manip_sim.arrays import BoolArray, FloatArray, IntArray
 
+_SITE, _BODY, _CRANK = (int(getattr(mujoco.mjtTrn, f'mjTRN_{name}')) for name in (
+    'SITE', 'BODY', 'SLIDERCRANK'))
+_OF_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
+_BODY_OF_WRAP = {int(mujoco.mjtWrap.mjWRAP_SITE): 'site_bodyid',
+                 int(mujoco.mjtWrap.mjWRAP_SPHERE): 'geom_bodyid',
+                 int(mujoco.mjtWrap.mjWRAP_CYLINDER): 'geom_bodyid'}
+_MESH, _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_MESH), mujoco.mjtGeom.mjGEOM_ELLIPSOID
+#: Models of bodies in a fluid by tool, and their data, which a thread changes.
+_THREADS = threading.local()
+_OF_MASS = ('body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
 _OF_EDGES = int(mujoco.mjtEq.mjEQ_FLEX)
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 #: True if contacts act on the vertices of a flex as in versions of MuJoCo before 4.0.
@@ -159,18 +169,6 @@ def _weights(corners: FloatArray, point: FloatArray) -> FloatArray:
         if weights.min() >= 0.0:
             return weights
         inside = np.flatnonzero(weights > 0.0)
-
-
-_SITE, _BODY, _CRANK = (int(getattr(mujoco.mjtTrn, f'mjTRN_{name}')) for name in (
-    'SITE', 'BODY', 'SLIDERCRANK'))
-_OF_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
-_BODY_OF_WRAP = {int(mujoco.mjtWrap.mjWRAP_SITE): 'site_bodyid',
-                 int(mujoco.mjtWrap.mjWRAP_SPHERE): 'geom_bodyid',
-                 int(mujoco.mjtWrap.mjWRAP_CYLINDER): 'geom_bodyid'}
-_MESH, _ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_MESH), mujoco.mjtGeom.mjGEOM_ELLIPSOID
-#: Models of bodies in a fluid by tool, and their data, which a thread changes.
-_THREADS = threading.local()
-_OF_MASS = ('body_mass', 'body_inertia', 'body_ipos', 'body_iquat')
 
 
 @dataclass(frozen=True, eq=False)

@@ -295,8 +295,10 @@ class DomainRandomizer:
                 continue
             joint = int(model.body_jntadr[body])
             if int(model.jnt_type[joint]) == _FREE:
-                at = int(model.jnt_qposadr[joint])
-                yield key, slice(at + 3, at + 7) if quantity == 'orientation' else slice(at, at + 3)
+                begin, count = int(model.jnt_qposadr[joint]), 3
+                if quantity == 'orientation':
+                    begin, count = begin + 3, 4
+                yield key, slice(begin, begin + count)
 
     def place(self, data: mujoco.MjData) -> None:
         """
