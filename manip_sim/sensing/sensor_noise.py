@@ -126,8 +126,7 @@ class SensingSettings:
     """
 
     def __init__(self) -> None:
-        self._values = dict.fromkeys(QUANTITIES, 0.0)
-        self._look()
+        self.replace({})
 
     def _look(self) -> None:
         of_commands = ('latency.command', 'latency.command_jitter')
