@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.models import compose_robot
 from manip_sim.models.actuators import add_setpoint_activation, position_servos_without_dynamics
 from manip_sim.models.arenas import Arena
 from manip_sim.models.bases import base_names
@@ -25,7 +24,7 @@ from manip_sim.models.grippers import gripper_names
 from manip_sim.models.registry import is_path
 from manip_sim.models.robots import robot_names, RobotModel
 from manip_sim.models.user_files import AllowedRoots, InMemoryFile, split_arguments, stem_of
-from manip_sim.models.world import compensate_free_robots, DEFAULT, NONE, World
+from manip_sim.models.world import compensate_free_robots, compose_robot, DEFAULT, NONE, World
 from manip_sim.physics.object_spawning import ElementMap, plan_world, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.quoting import format_value
