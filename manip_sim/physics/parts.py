@@ -241,10 +241,10 @@ class EndEffectorReader:
         :param data: the ``mujoco.MjData``
         :returns: position [m] and quaternion x, y, z, w, shape (7,)
         """
-        pose, quat_wxyz = np.empty(7), np.empty(4)
-        mujoco.mju_mat2Quat(quat_wxyz, data.site_xmat[self._grip_site])
+        pose = np.empty(7)
+        mujoco.mju_mat2Quat(pose[2:6], data.site_xmat[self._grip_site])
+        pose[6] = pose[2]  # MuJoCo has w first.
         pose[:3] = data.site_xpos[self._grip_site]
-        pose[3:6], pose[6] = quat_wxyz[1:], quat_wxyz[0]
         return pose
 
     def twist(self, data: mujoco.MjData) -> FloatArray:
