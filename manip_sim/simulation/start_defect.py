@@ -150,9 +150,9 @@ class _Start:
         #: The actuators that act on each joint alone, not through a tendon or a site.
         self.drivers: dict[int, list[int]] = {}
         for actuator in range(model.nu):
-            joint = actuated_joints(model, actuator)[:1]
-            if driven_joint(model, actuator) is not None and joint[0] in self.joints:
-                self.drivers.setdefault(joint[0], []).append(actuator)
+            driven = actuated_joints(model, actuator)
+            if driven_joint(model, actuator) is not None and driven[0] in self.joints:
+                self.drivers.setdefault(driven[0], []).append(actuator)
 
     def _remedies(self, name: str) -> _Remedies:
         """Return the remedies for an element."""
