@@ -17,7 +17,7 @@ pytestmark = pytest.mark.full
 pytest.importorskip('viser', reason='the viewer needs the extra viewer')
 
 from page_client import messages_of  # noqa: E402
-from test_viewer import browser, end, PATIENCE_MS, start_viewer  # noqa: E402, F401
+from test_viewer import browser, end, PATIENCE_MS, SLOWLY, start_viewer  # noqa: E402, F401
 
 from manip_sim.viewer.page.latest import plain  # noqa: E402
 
@@ -68,6 +68,7 @@ def visit(hostile, browser, tmp_path_factory):  # noqa: F811
     os.chdir(here)
     page, found = browser.new_page(viewport={'width': 1000, 'height': 900}), Visit()
     page.set_default_timeout(PATIENCE_MS)
+    page.add_init_script(SLOWLY.format(500))  # These tests are about texts.
     page.expose_function('hit', lambda what: found.ran.append(what))
     page.on('pageerror', lambda error: found.errors.append(str(error)))
     page.on('request', lambda request: found.requests.append(request.url))
