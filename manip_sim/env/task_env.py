@@ -46,7 +46,48 @@ _SHARED = ('task', 'task_description', '_max_episode_steps', 'metadata', 'render
 _Result = tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]
 
 
-class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
+class _TaskEpisodes:
+    """One environment or many: how their episodes are asked for, shown and described."""
+
+    metadata: dict[str, Any]
+
+    def _prepare(self, setting: Setting, render_mode: str | None, view: tuple[str, tuple[int, int]]
+                 ) -> None:
+        """
+        Check and keep what the constructors have in common.
+
+        :param view: camera, and width and height [pixels], of what is shown
+        """
+        if render_mode is not None and render_mode not in self.metadata['render_modes']:
+            raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
+        check_keywords(setting.composition, type(self))
+        self.metadata = {**self.metadata, 'render_fps': setting.control_hz}
+        self.render_mode = render_mode
+        self._view = view
+        self._film: Pictures | None = None
+        #: Instant at which the policy got the last observation, of ``time.perf_counter`` [s].
+        self._asked_s = 0.0
+
+    def _describe(self, episode: Episode) -> None:
+        self.task, self.task_description = episode.task.name, episode.task.instruction
+        self._max_episode_steps = episode.most_periods
+
+    def _picture(self, episode: Episode) -> Any:
+        """Return an image of an episode; None if the mode is not ``rgb_array``."""
+        if self.render_mode != 'rgb_array':
+            return None
+        if self._film is None:
+            self._film = Pictures(episode.simulation, dict([self._view]))
+        return self._film.take(episode.simulation)[self._view[0]].rgb
+
+    def _close_pictures(self, episode: Episode) -> None:
+        for pictures in (self._film, episode.observer.pictures):
+            if pictures is not None:
+                pictures.close()
+        self._film = None
+
+
+class TaskEnv(_TaskEpisodes, gymnasium.Env[Observation, NDArray[Any]]):
     """
     Episodes of a task, in this process.
 
@@ -95,21 +136,13 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
                  answer_time: AnswerTimeLike = NO_ANSWER_TIME, chunk: int | None = None,
                  image_kinds: Sequence[str] = ('rgb',),
                  **composition: Any) -> None:
-        if render_mode is not None and render_mode not in self.metadata['render_modes']:
-            raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         check_keywords(composition, TaskEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, cameras,
-                          image_size, composition, noise, answer_time,
-                          image_kinds)
+                          image_size, composition, noise, answer_time, image_kinds)
+        self._prepare(setting, render_mode, (render_camera, render_size))
         self.episode = setting.create_episode()
-        self.task, self.task_description = self.episode.task.name, self.episode.task.instruction
-        self._max_episode_steps = self.episode.most_periods
+        self._describe(self.episode)
         self._answers = setting.create_answers(self.episode)
-        self._asked_s = 0.0
-        self.metadata = {**self.metadata, 'render_fps': control_hz}
-        self.render_mode = render_mode
-        self._view = render_camera, render_size
-        self._film: Pictures | None = None
         self._window: Any = None
         self._begun = False
         self.action_space = action_space(self.episode, chunk)
@@ -177,11 +210,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
         :raises ManipSimError: if nothing can be rendered
         """
-        if self.render_mode == 'rgb_array':
-            if self._film is None:
-                self._film = Pictures(self.episode.simulation, dict([self._view]))
-            return self._film.take(self.episode.simulation)[self._view[0]].rgb
-        return None
+        return self._picture(self.episode)
 
     def _show(self) -> None:
         """Show the present instant in MuJoCo's viewer, if the mode is ``human``."""
@@ -196,12 +225,10 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     def close(self) -> None:
         """Free what rendering needs; nothing happens the second time."""
-        for pictures in (self._film, self.episode.observer.pictures):
-            if pictures is not None:
-                pictures.close()
+        self._close_pictures(self.episode)
         if self._window is not None:
             self._window.close()
-        self._film = self._window = None
+        self._window = None
 
 
 def check_keywords(composition: Mapping[str, Any], environment: type) -> None:
@@ -254,7 +281,8 @@ def observation_space(observation: Observation) -> gymnasium.Space[Observation]:
         for key, value in observation.items()})
 
 
-class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
+class TaskVectorEnv(
+        _TaskEpisodes, gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     """
     Episodes of a task, many at once in this process; each as :class:`TaskEnv` has it, to the bit.
 
@@ -309,39 +337,30 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                  image_kinds: Sequence[str] = ('rgb',),
                  autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
                  **composition: Any) -> None:
-        if render_mode is not None and render_mode not in self.metadata['render_modes']:
-            raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
-        self.autoreset_mode = _mode(autoreset_mode)
         check_keywords(composition, TaskVectorEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, cameras,
-                          image_size, composition, noise, answer_time,
-                          image_kinds)
+                          image_size, composition, noise, answer_time, image_kinds)
+        self._prepare(setting, render_mode, (render_camera, render_size))
+        self.autoreset_mode = _mode(autoreset_mode)
+        self.metadata['autoreset_mode'] = self.autoreset_mode
         made = setting.create_task()
         self.worlds = Worlds(made.world, whole_number(num_envs, 1, 'num_envs'), threads)
         pictures = setting.create_pictures(
             self.worlds.simulations[0], made, min(self.worlds.threads, len(self.worlds)))
         self._episodes = [setting.create_episode(made, simulation, pictures)
                           for simulation in self.worlds.simulations]
-        first_episode = self._episodes[0]
-        self._actions = _BatchedActions(
-            self.worlds, first_episode.actions, first_episode.period_s)
+        episode = self._episodes[0]
+        self._describe(episode)
+        self._actions = _BatchedActions(self.worlds, episode.actions, episode.period_s)
         self._answers = [setting.create_answers(episode) for episode in self._episodes]
-        self._asked_s = 0.0
-        self.task, self.task_description = made.name, made.instruction
-        self._max_episode_steps = self._episodes[0].most_periods
         self.num_envs = len(self._episodes)
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, 'render_fps': control_hz,
-                         'autoreset_mode': self.autoreset_mode}
-        self._view = render_camera, render_size
-        self._film: Pictures | None = None
         self._randoms = [np.random.default_rng() for _ in self._episodes]
         #: Of each environment: whether it has begun, and whether its episode has ended.
         self._begun = np.zeros(self.num_envs, dtype=bool)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._given: dict[str, Sequence[Any]] = {}
-        self.single_action_space = action_space(self._episodes[0], chunk)
-        first = self._episodes[0].observation
+        self.single_action_space = action_space(episode, chunk)
+        first = episode.observation
         #: The last observation of each environment, by key.
         self._observed = {key: np.zeros((self.num_envs, *value.shape), value.dtype)
                           for key, value in first.items()}
@@ -574,7 +593,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
                 'action_space': lambda _: self.single_action_space,
                 'observation_space': lambda _: self.single_observation_space,
                 'digest': lambda index: lambda: self._episodes[index].digest,
-                'render': lambda index: lambda: self._picture(index)}
+                'render': lambda index: lambda: self._picture(self._episodes[index])}
 
     def _attributes(self, name: str) -> Sequence[Any]:
         getters = self._own()
@@ -601,14 +620,6 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
             return None
         return self.call('render')
 
-    def _picture(self, index: int) -> Any:
-        """Return an image of an environment; None without a ``render_mode``."""
-        if self.render_mode is None:
-            return None
-        if self._film is None:
-            self._film = Pictures(self.worlds.simulations[0], dict([self._view]))
-        return self._film.take(self.worlds.simulations[index])[self._view[0]].rgb
-
     def close_extras(self, **kwargs: Any) -> None:
         """
         End the threads, and free what rendering needs.
@@ -616,9 +627,7 @@ class TaskVectorEnv(gymnasium.vector.VectorEnv[Observation, NDArray[Any], NDArra
         :param kwargs: not used
         """
         self.worlds.close()
-        for pictures in (self._film, self._episodes[0].observer.pictures):
-            if pictures is not None:
-                pictures.close()
+        self._close_pictures(self._episodes[0])
 
 
 def _mode(mode: str | AutoresetMode) -> AutoresetMode:
