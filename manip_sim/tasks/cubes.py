@@ -72,7 +72,7 @@ class PickCube(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a half for being at the cube, and a half for lifting it."""
-        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'cube')))
+        near = self._near(simulation, position_of(simulation, 'cube'))
         lifted = min(max(self._lifted(simulation) / _LIFT_M, 0.0), 1.0)
         return 0.5 * near + 0.5 * lifted
 
@@ -132,7 +132,7 @@ class StackCubes(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a third for the gripper at the cube, and two thirds for the cube at its place."""
-        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'cube')))
+        near = self._near(simulation, position_of(simulation, 'cube'))
         return near / 3.0 + nearness(length(self._off(simulation)), 0.05) * 2.0 / 3.0
 
     def expert(self, simulation: Simulation) -> Expert:
@@ -195,7 +195,7 @@ class PushCube(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a quarter for the gripper at the cube, the rest for the cube at the disc."""
-        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'cube')))
+        near = self._near(simulation, position_of(simulation, 'cube'))
         return 0.25 * near + 0.75 * nearness(length(self._way(simulation)))
 
     def goal(self, simulation: Simulation) -> FloatArray:

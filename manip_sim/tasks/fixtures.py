@@ -59,8 +59,7 @@ class OpenDrawer(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a quarter for the gripper at the handle, the rest for opening."""
-        near = nearness(length(
-            self._end_effector(simulation) - simulation.data.site('handle').xpos))
+        near = self._near(simulation, simulation.data.site('handle').xpos)
         return 0.25 * near + 0.75 * min(max(self._opened(simulation) / _OPEN_M, 0.0), 1.0)
 
     def goal(self, simulation: Simulation) -> FloatArray:
@@ -156,7 +155,7 @@ class InsertPeg(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a quarter for the gripper at the peg, the rest for the tip at its place."""
-        near = nearness(length(self._end_effector(simulation) - position_of(simulation, 'peg')))
+        near = self._near(simulation, position_of(simulation, 'peg'))
         return 0.25 * near + 0.75 * nearness(
             length(self._tip(simulation) + [0.0, 0.0, _DEEP_M]), 0.05)
 

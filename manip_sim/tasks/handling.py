@@ -79,7 +79,7 @@ class PickFromBelt(Task):
 
     def progress(self, simulation: Simulation) -> float:
         """Return a half for being at the part, and a half for lifting it."""
-        near = nearness(length(self._end_effector(simulation) - position_of(simulation, PART)))
+        near = self._near(simulation, position_of(simulation, PART))
         return 0.5 * near + 0.5 * min(max(self._lifted(simulation) / _LIFT_M, 0.0), 1.0)
 
     def goal(self, simulation: Simulation) -> FloatArray:

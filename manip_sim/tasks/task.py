@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.arenas import Arena, create_arena
@@ -25,6 +26,7 @@ from manip_sim.quoting import pluralize
 from manip_sim.validation import listed
 from manip_sim.simulation import Simulation
 from manip_sim.tasks.expert import Expert
+from manip_sim.tasks.placing import nearness
 
 #: Height of the table's top [m].
 TABLE_M = 0.8
@@ -217,6 +219,10 @@ class Task(ABC):
     def _end_effector(self, simulation: Simulation) -> FloatArray:
         """Return the position of ``grip_site`` of :attr:`arm` in ``world`` [m], shape (3,)."""
         return simulation.robot.end_effectors[self.arm].position(simulation.data)
+
+    def _near(self, simulation: Simulation, position: FloatArray) -> float:
+        """Return 1 for an end effector at a position in ``world`` [m], towards 0 far away."""
+        return nearness(length(self._end_effector(simulation) - position))
 
     @abstractmethod
     def expert(self, simulation: Simulation) -> Expert:
