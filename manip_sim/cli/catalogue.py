@@ -89,23 +89,6 @@ def _robots() -> dict[str, list[Row]]:
     return _part_rows('robots', robot_names(), create_robot, columns)
 
 
-def _grippers() -> dict[str, list[Row]]:
-    return _part_rows('grippers', gripper_names(), create_gripper, lambda _, gripper: {
-        'joints': len(gripper.joints), 'actuators': len(gripper.actuators),
-        'length of actions': gripper.dof})
-
-
-def _bases() -> dict[str, list[Row]]:
-    return _part_rows('bases', base_names(), create_base, lambda _, base: {
-        'kind': 'mobile' if isinstance(base, MobileBaseModel) else 'mount',
-        'joints': len(base.joints)})
-
-
-def _arenas() -> dict[str, list[Row]]:
-    return _part_rows('arenas', arena_names(), create_arena, lambda name, _: {
-        'parameters and defaults': arena_parameters(name)})
-
-
 def _objects() -> dict[str, list[Row]]:
     """Return the shapes of objects, and the free bodies of arenas, also the optional ones."""
     return {'shapes of objects': [{'name': shape, 'size m': size}
@@ -150,5 +133,13 @@ def free_bodies(model: mujoco.MjModel) -> dict[str, float]:
 
 
 _SECTIONS: dict[str, Callable[[], dict[str, list[Row]]]] = {
-    'robots': _robots, 'grippers': _grippers, 'bases': _bases, 'arenas': _arenas,
+    'robots': _robots,
+    'grippers': lambda: _part_rows('grippers', gripper_names(), create_gripper, lambda _, part: {
+        'joints': len(part.joints), 'actuators': len(part.actuators),
+        'length of actions': part.dof}),
+    'bases': lambda: _part_rows('bases', base_names(), create_base, lambda _, base: {
+        'kind': 'mobile' if isinstance(base, MobileBaseModel) else 'mount',
+        'joints': len(base.joints)}),
+    'arenas': lambda: _part_rows('arenas', arena_names(), create_arena, lambda name, _: {
+        'parameters and defaults': arena_parameters(name)}),
     'objects': _objects, 'tasks': _tasks}

@@ -93,17 +93,12 @@ def _defects_of_file(file: Path) -> tuple[list[StartDefect], list[str]]:
         home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, 'home')
         mujoco.mj_resetDataKeyframe(model, data, max(home, 0))
     mujoco.mj_forward(model, data)
-    roots = _robots(model)
+    # Trees with joints other than free ones, so no objects; by ids, as they may have no names.
+    jointed = model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]
+    roots = np.unique(model.body_rootid[jointed]).tolist()
     if not roots:
         raise ModelError(f'{file} has no body with joints, so no robot to check')
     return find_start_defects(model, data, roots), notes
-
-
-def _robots(model: mujoco.MjModel) -> list[int]:
-    """Return the root bodies of trees with joints other than free ones, so not of objects."""
-    jointed = model.jnt_bodyid[np.flatnonzero(model.jnt_type != _FREE)]
-    # By their ids, since they may have no names.
-    return [int(root) for root in np.unique(model.body_rootid[jointed])]
 
 
 #: A position is beyond its range if it exceeds it by more than this [rad or m], as noise does.
@@ -116,24 +111,22 @@ def differences(world: World, topic: str, names: Sequence[str], positions: Seque
     Compare joint states with the joints of the robots of a world.
 
     :param topic: on which they came, for the messages
-    :param names: of the joints
     :param positions: [rad or m]
     :returns: their defects, and remarks
     """
-    ranges = _ranges(world)
-    return list(_defects(topic, names, positions, ranges)), list(_remarks(topic, names, ranges))
-
-
-def _ranges(world: World) -> dict[str, tuple[float, float]]:
-    """Return the ranges of the joints of robots, by name in the order of their states."""
-    model, ranges = world.compile(), {}
+    model, ranges = world.compile(), {}  # By name in the order of their states.
     for name in (name for robot in world.robots for part in (robot, *robot.models)
                  for name in part.joints):
         joint = model.joint(name)
         if int(joint.type[0]) in SCALAR:
             limited = bool(model.jnt_limited[joint.id])
             ranges[name] = tuple(joint.range.tolist()) if limited else (-np.inf, np.inf)
-    return ranges
+    common = [name for name in names if name in ranges]
+    places = {name: place for place, name in enumerate(ranges)}
+    return list(_defects(topic, names, positions, ranges)), [
+        f'{topic} has {quoted(first)} before {quoted(second)}, this robot after it: a client that '
+        'takes positions by their place instead of their names swaps joints'
+        for first, second in pairwise(common) if places[first] > places[second]][:1]
 
 
 def _defects(topic: str, names: Sequence[str], positions: Sequence[float],
@@ -165,16 +158,6 @@ def _defects(topic: str, names: Sequence[str], positions: Sequence[float],
             'states', f'{topic}: {quoted(name)} is at {values[name]:.4g}, beyond its range from '
             f'{low:.4g} to {high:.4g}{hint}',
             'compare the order of names and positions in its source, its units and its zeros')
-
-
-def _remarks(topic: str, names: Sequence[str], ranges: Mapping[str, tuple[float, float]]
-             ) -> Iterator[str]:
-    common = [name for name in names if name in ranges]
-    places = {name: place for place, name in enumerate(ranges)}
-    moved = next((pair for pair in pairwise(common) if places[pair[0]] > places[pair[1]]), None)
-    if moved is not None:
-        yield (f'{topic} has {quoted(moved[0])} before {quoted(moved[1])}, this robot after it: a '
-               'client that takes positions by their place instead of their names swaps joints')
 
 
 def _within(value: float, limits: tuple[float, float]) -> bool:

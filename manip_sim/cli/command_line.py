@@ -483,7 +483,6 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
     Ends the process with exit code 2 if it is wrong, and 0 after ``--help`` and ``--version``.
 
-    :param arguments: the words, by default the arguments of the process
     :raises ModelError: if it is for a verb of another package that cannot be used
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
@@ -522,7 +521,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         # Of several files before --to, argparse takes the last one for OUT, which comes after it.
         options.files.append(options.out)
         options.out = Path(left.pop())
-    problem = _unknown(left, options) or _conflict(options)
+    hint = ' (options name the parts: --robot NAME)' if hasattr(options, 'robot') and left and (
+        not left[0].startswith('-')) else ''
+    problem = f'unrecognized arguments: {" ".join(left)}{hint}' if left else _conflict(options)
     if problem:
         commands.choices[options.command].error(problem)
     return options
@@ -551,15 +552,6 @@ def _check_first(words: Sequence[str], parser: _Parser) -> None:
         parser.error(f"{first} is a program of its own: type '{first}' without 'manip_sim'")
     if first.startswith('-') and first not in ('-h', '--help', '--version'):
         parser.error(f"a COMMAND comes before '{first}', as in: manip_sim describe --robot Panda")
-
-
-def _unknown(words: Sequence[str], options: argparse.Namespace) -> str | None:
-    """Return an error message about words that were not recognized, or None."""
-    if not words:
-        return None
-    named = hasattr(options, 'robot') and not words[0].startswith('-')
-    hint = ' (options name the parts: --robot NAME)' if named else ''
-    return f'unrecognized arguments: {" ".join(words)}{hint}'
 
 
 def _conflict(options: argparse.Namespace) -> str | None:

@@ -78,21 +78,13 @@ def _given(options: argparse.Namespace) -> dict[str, Any]:
         values['gravity_compensation'] = False
     if options.object is not None:
         values['objects'] = options.object
-    return {**values, **{name if name == 'cube' else f'arena.{name}': value
-                         for name, value in _arena_values(options).items()}}
-
-
-def _arena_values(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the parameters of the arena that are given; raises as :func:`compose_from`."""
-    if options.arena_param is None:
-        return {}
-    name = options.arena or 'empty'
-    known = arena_parameters(name)
-    values = {}
-    for parameter, text in options.arena_param:
-        if parameter not in known:
-            raise UnknownNameError(f"parameter of arena '{name}'", parameter, known)
-        values[parameter] = _as(known[parameter], f'{name}: {parameter}', text)
+    arena = options.arena or 'empty'
+    known = {} if options.arena_param is None else arena_parameters(arena)
+    for name, text in options.arena_param or ():
+        if name not in known:
+            raise UnknownNameError(f"parameter of arena '{arena}'", name, known)
+        values[name if name == 'cube' else f'arena.{name}'] = _as(
+            known[name], f'{arena}: {name}', text)
     return values
 
 

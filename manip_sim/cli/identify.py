@@ -18,7 +18,7 @@ from manip_sim.cli.output import (
     check_folder, number, ProgressBar, table, terminal_width, write_whole)
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.identification.least_squares import (
-    identify, Identification, JointFit, PayloadFit, RigidModel, Value)
+    identify, Identification, RigidModel, Value)
 from manip_sim.identification.recorded_motion import (
     find_excitation, read_motion, record_excitation, RecordedMotion)
 from manip_sim.models.robots import ManipulatorModel
@@ -46,7 +46,12 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
     if options.part not in parts:
         raise UnknownNameError(f'part of {robot.name}', options.part, parts)
     if options.excite is not None:
-        return _excite(options, simulation), 0
+        excitation = find_excitation(simulation, options.part, options.duration, options.seed)
+        with ProgressBar('states') as progress:
+            states = record_excitation(simulation, excitation, options.part, options.excite,
+                                       progress.show)
+        return (f'{options.excite} ({pluralize(states, "state")} in {excitation.duration_s:g} s)',
+                0)
     joints = robot.parts[options.part].joints
     motion = read_motion(
         options.bag, joints, [name for name in robot.joint_names if name not in joints],
@@ -82,14 +87,6 @@ def _names(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, st
     return dict(zip(joints, names))
 
 
-def _excite(options: argparse.Namespace, simulation: Simulation) -> str:
-    excitation = find_excitation(simulation, options.part, options.duration, options.seed)
-    with ProgressBar('states') as progress:
-        states = record_excitation(simulation, excitation, options.part, options.excite,
-                                   progress.show)
-    return f'{options.excite} ({pluralize(states, "state")} in {excitation.duration_s:g} s)'
-
-
 def _kept(value: Value) -> float:
     """Return what a model takes: that of the model where nothing is told, and nothing negative."""
     return float(f'{value.before if value.value is None else max(value.value, 0.0):.6g}')
@@ -123,31 +120,30 @@ def _report(options: argparse.Namespace, motion: RecordedMotion, identification:
                            'offset', '+-'), values, width),
              table('Effort that is left (rms)', (
                  'joint', 'fitted', 'held out', "with the model's values", 'explained [%]'),
-                 [_residuals(joint) for joint in identification.joints], width)]
-    texts += [_payload(payload) for payload in identification.payloads]
+                 [(joint.name, *('-' if math.isnan(value) else f'{value:.3g}' for value in (
+                     joint.rms, joint.held_out, joint.held_out_before)),
+                   '-' if math.isnan(joint.explained) else f'{100.0 * joint.explained:.2f}')
+                  for joint in identification.joints], width)]
+    for load in identification.payloads:
+        center = ', '.join('-' if axis.value is None else f'{axis.value:.3f} +- {axis.error:.2g}'
+                           for axis in load.center)
+        texts.append(f'payload of {load.arm}: {load.mass.value:.3f} +- {load.mass.error:.2g} kg, '
+                     f'center of mass in the frame of the flange {center} m')
     if options.out is not None:
         texts.append(str(options.out))
     return '\n'.join([*texts, *_notes(options, motion, identification)])
 
 
-def _residuals(joint: JointFit) -> tuple[str, ...]:
-    return (joint.name, *('-' if math.isnan(value) else f'{value:.3g}' for value in (
-        joint.rms, joint.held_out, joint.held_out_before)),
-        '-' if math.isnan(joint.explained) else f'{100.0 * joint.explained:.2f}')
-
-
-def _payload(load: PayloadFit) -> str:
-    center = ', '.join('-' if axis.value is None else f'{axis.value:.3f} +- {axis.error:.2g}'
-                       for axis in load.center)
-    return (f'payload of {load.arm}: {load.mass.value:.3f} +- {load.mass.error:.2g} kg, center of '
-            f'mass in the frame of the flange {center} m')
-
-
 def _notes(options: argparse.Namespace, motion: RecordedMotion, identification: Identification
            ) -> list[str]:
     """Return what a user should know, a sentence each."""
-    notes = [f'not observable: {kinds} of {joint}: {reason}'
-             for joint, kinds, reason in _unobserved(identification)]
+    unobserved: dict[tuple[str, str], list[str]] = {}
+    for joint in identification.joints:
+        for kind, value in joint.values.items():
+            if value.value is None:
+                unobserved.setdefault((joint.name, value.reason), []).append(kind)
+    notes = [f'not observable: {", ".join(kinds)} of {name}: {reason}'
+             for (name, reason), kinds in unobserved.items()]
     notes += [f'{kind} of {joint.name} is negative: the model, or the sign of the efforts, does '
               'not fit; the file has 0' for joint in identification.joints
               for kind, value in joint.values.items() if kind != 'offset'
@@ -170,16 +166,6 @@ def _notes(options: argparse.Namespace, motion: RecordedMotion, identification: 
                  f'{"behind" if identification.lag_s >= 0.0 else "ahead of"} the positions, which '
                  'was taken into account')
     return [*motion.notes, *notes]
-
-
-def _unobserved(identification: Identification) -> list[tuple[str, str, str]]:
-    """Return joints with the kinds of which nothing is told, and why."""
-    rows: dict[tuple[str, str], list[str]] = {}
-    for joint in identification.joints:
-        for kind, value in joint.values.items():
-            if value.value is None:
-                rows.setdefault((joint.name, value.reason), []).append(kind)
-    return [(name, ', '.join(kinds), reason) for (name, reason), kinds in rows.items()]
 
 
 def _length(identification: Identification) -> list[str]:

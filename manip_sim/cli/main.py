@@ -48,7 +48,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     Run a command.
 
-    :param arguments: the command line, by default that of the process
     :returns: the exit code
     """
     words = sys.argv[1:] if arguments is None else arguments

@@ -44,7 +44,6 @@ class OfferedVerb(Verb):
     """
     A verb of another package; whatever that raises is an error that names the package.
 
-    :param offer: the entry point
     :raises ModelError: if it cannot be used
     """
 

@@ -37,9 +37,6 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], widt
 
     Cells are wrapped to keep to the width, but numbers never.
 
-    :param title: the line above it
-    :param header: the names of the columns
-    :param rows: the cells, one for each column
     :param width: of a line [characters]
     """
     if not rows:

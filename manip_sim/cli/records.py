@@ -9,7 +9,6 @@ import argparse
 from collections.abc import Iterator
 import contextlib
 import importlib.util
-from pathlib import Path
 import sys
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -21,9 +20,9 @@ from manip_sim.experiments.demonstrations import (
 from manip_sim.quoting import pluralize
 from manip_sim.records.converting import convert as convert_records, records_in
 from manip_sim.records.recorded import Record
-from manip_sim.records.replay import JournalReplay, Repetition, Replay
+from manip_sim.records.replay import JournalReplay, Replay
 from manip_sim.ros_environment import check_ros_environment, missing_module
-from manip_sim.tasks import Episode, Setting
+from manip_sim.tasks import Setting
 
 if TYPE_CHECKING:
     from manip_sim.viewer.task_page import TaskPage
@@ -80,7 +79,13 @@ class _Repeated:
                 self._equal += repetition.difference is None
                 self._succeeded += repetition.success
                 self._recorded_success += recorded.success
-                self.lines += _lines(record.path, repetition, self._verify)
+                about = f'{record.path}: episode {recorded.number} (seed {recorded.seed})'
+                if self._verify and repetition.difference is not None:
+                    self.lines.append(f'{about}: {repetition.difference}')
+                elif not self._verify and repetition.success != recorded.success:
+                    self.lines.append(
+                        f'{about}: {"success" if repetition.success else "no success"} after '
+                        f'{repetition.periods} periods, not as recorded')
                 progress.show(self._episodes)
 
     def node(self, record: Record) -> None:
@@ -102,16 +107,6 @@ class _Repeated:
             self.lines.append(f'{self._succeeded} of {self._episodes} succeed, '
                               f'{self._recorded_success} did when they were recorded')
         return '\n'.join(self.lines), 0
-
-
-def _lines(path: Path, repetition: Repetition, verify: bool) -> list[str]:
-    about = f'{path}: episode {repetition.recorded.number} (seed {repetition.recorded.seed})'
-    if repetition.difference is not None and verify:
-        return [f'{about}: {repetition.difference}']
-    if repetition.success != repetition.recorded.success and not verify:
-        return [f'{about}: {"success" if repetition.success else "no success"} after '
-                f'{repetition.periods} periods, not as recorded']
-    return []
 
 
 def convert(options: argparse.Namespace) -> tuple[str, int]:
@@ -136,7 +131,9 @@ def demonstrate(options: argparse.Namespace) -> tuple[str, int]:
                       options.rate)
     episode = setting.create_episode()
     with contextlib.ExitStack() as stack:
-        device = stack.enter_context(contextlib.closing(_open(options, episode)))
+        device: Device = stack.enter_context(contextlib.closing(
+            _pages().PageDevice(episode, options.listen, options.port)
+            if options.device == _BROWSER else open_device(options.device, episode.actions.names)))
         page: TaskPage | None = None
         if options.view and options.device != _BROWSER:
             page = stack.enter_context(contextlib.closing(_pages().TaskPage(
@@ -179,13 +176,6 @@ def _demonstrations(options: argparse.Namespace, demonstrator: Demonstrator
             seed, count = seed + 1, count + 1
         if demonstration.quits:
             return
-
-
-def _open(options: argparse.Namespace, episode: Episode) -> Device:
-    if options.device == _BROWSER:
-        device: Device = _pages().PageDevice(episode, options.listen, options.port)
-        return device
-    return open_device(options.device, episode.actions.names)
 
 
 def _pages() -> ModuleType:

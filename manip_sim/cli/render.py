@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from manip_sim.models import World
     from manip_sim.models.mjcf import MujocoXMLModel
-    from manip_sim.simulation import Simulation
 
 #: Width of the view over that of its content.
 _MARGIN = 1.05
@@ -142,11 +141,7 @@ def prepare_studio(model: mujoco.MjModel) -> None:
 
 
 def light_studio(scene: mujoco.MjvScene, azimuth: float) -> None:
-    """
-    Replace the lights of a scene, and match its ground to the backdrop where no shadow falls.
-
-    :param azimuth: of the view [degrees]
-    """
+    """Light a scene seen from an azimuth [degrees], and match its ground to the backdrop."""
     import mujoco
     turn = np.radians(azimuth)
     axes = np.array([[np.sin(turn), -np.cos(turn), 0.0], [0.0, 0.0, 1.0],
@@ -268,18 +263,14 @@ def _start_of(world: World, grippers_open: bool = False) -> tuple[Any, Any]:
         with contextlib.suppress(ModelError):
             simulation = Simulation(world, visual=True)
             if grippers_open:
-                _open_grippers(simulation)
+                for robot in simulation.robots.values():
+                    for part, gripper in robot.grippers.items():
+                        robot.apply(robot.parse.action(part, [-1.0] * gripper.dof))
+                with contextlib.suppress(DivergenceError):
+                    simulation.advance(round(_OPENING_S / simulation.timestep_s))
             return simulation.model, simulation.data
     model = world.compile()
     return model, start_without_control(model, world.init_qpos())
-
-
-def _open_grippers(simulation: Simulation) -> None:
-    for robot in simulation.robots.values():
-        for part, gripper in robot.grippers.items():
-            robot.apply(robot.parse.action(part, [-1.0] * gripper.dof))
-    with contextlib.suppress(DivergenceError):
-        simulation.advance(round(_OPENING_S / simulation.timestep_s))
 
 
 def _visible_corners(model: mujoco.MjModel, data: mujoco.MjData) -> Any:

@@ -363,8 +363,6 @@ def _windows(graph: _Graph, options: argparse.Namespace, measure: Callable[[Any,
     Yield measurements of the newest messages once a second, as soon as there are two.
 
     :param measure: takes a message and when it came [s]
-    :param most: number of measurements
-    :param raw: whether messages stay serialized
     """
     messages = _subscribed(graph, options, raw)
     window: deque[Any] = deque(maxlen=most)

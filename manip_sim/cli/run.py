@@ -44,6 +44,7 @@ _FOLDERS = {'command': 'latency', 'state': 'latency', 'answer': 'answer_time'}
 _HEADS = {'command': 'latency of a command', 'state': 'latency of a state',
           'answer': 'answer time'}
 
+_INTERRUPTED, _CONTINUE = 130, 'interrupted; run the same command again to continue'
 #: Picture of a sweep, in the folder of its runs.
 PLOT = 'success.svg'
 
@@ -57,18 +58,16 @@ def run(options: argparse.Namespace) -> tuple[str, int]:
 
 def _run(options: argparse.Namespace) -> tuple[str, int]:
     options.out = options.out.absolute()
-    noise, late = _noise(options)
-    for option, key in (('latency_jitter', 'command_jitter'),
-                        ('state_latency_jitter', 'state_jitter')):
-        if getattr(options, option) is not None:
-            late[key] = getattr(options, option)
-    options.noise, options.late = noise, late
+    options.noise, options.late = _noise(options)
+    options.late |= {key: jitter for key, jitter in (
+        ('command_jitter', options.latency_jitter), ('state_jitter', options.state_latency_jitter))
+        if jitter is not None}
     options.timing = {key: value for key, value in (
         ('jitter', options.answer_time_jitter), ('chunk_hz', options.chunk_hz),
         ('ask_ahead', options.ask_ahead)) if value is not None}
     sweeps: dict[str, list[Any]] = {
-        'command': options.latency or [late['command']],
-        'state': options.state_latency or [late['state']],
+        'command': options.latency or [options.late['command']],
+        'state': options.state_latency or [options.late['state']],
         'answer': _answer_times(options.answer_time)}
     cases = [dict(zip(sweeps, values)) for values in itertools.product(*sweeps.values())]
     several = [kind for kind, values in sweeps.items() if len(values) > 1]
@@ -80,33 +79,25 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
     for case in cases:  # Before the first of them is run.
         Latency.of({'command': case['command'], 'state': case['state']})
         AnswerTime.of({**options.timing, 'time': case['answer']})
-    if not several:
-        summary = _run_one(options, cases[0], options.out)
-        return _interrupted(options) if summary is None else _summary_text(summary)
-    (kind,) = several
-    summaries = []
+    summaries: list[tuple[Any, dict[str, Any]]] = []
     for case in cases:
-        late_s = case[kind]
-        text = late_s if isinstance(late_s, str) else f'{late_s:g}'
-        summary = _run_one(options, case, options.out / f'{_FOLDERS[kind]}_{text}')
+        folder, late_s = options.out, None
+        for kind in several:
+            late_s = case[kind]
+            folder /= f'{_FOLDERS[kind]}_' + (
+                late_s if isinstance(late_s, str) else f'{late_s:g}')
+        summary = _run_one(options, case, folder)
         if summary is None:
-            return _interrupted(options)
+            return (f'{options.out}: {_CONTINUE}', _INTERRUPTED)
         summaries.append((late_s, summary))
-    _plot(summaries, kind, options.out / PLOT)
-    return _sweep_text(summaries, kind)
-
-
-def _plot(summaries: list[tuple[Any, dict[str, Any]]], kind: str, file: Path) -> None:
-    """Draw the success over latencies of which at least two are numbers."""
+    if not several:
+        return _summary_text(summaries[0][1])
+    title, head = f'{summaries[0][1]["task"]}, {summaries[0][1]["policy"]}', _HEADS[several[0]]
     numbers = [entry for entry in summaries if not isinstance(entry[0], str)]
     if len(numbers) > 1:
-        title = _sweep_title(summaries)
-        write_whole(file, lambda part: part.write_text(
-            success_over(title, _HEADS[kind], numbers)))
-
-
-def _sweep_title(summaries: list[tuple[Any, dict[str, Any]]]) -> str:
-    return f'{summaries[0][1]["task"]}, {summaries[0][1]["policy"]}'
+        write_whole(options.out / PLOT, lambda part: part.write_text(
+            success_over(title, head, numbers)))
+    return _sweep_text(summaries, title, head)
 
 
 def _answer_times(times: str | None) -> list[float | str]:
@@ -150,22 +141,17 @@ def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, flo
     return values, late
 
 
-def _interrupted(options: argparse.Namespace) -> tuple[str, int]:
-    return f'{options.out}: interrupted; run the same command again to continue', 130
-
-
-def _sweep_text(summaries: list[tuple[Any, dict[str, Any]]], kind: str) -> tuple[str, int]:
+def _sweep_text(summaries: list[tuple[Any, dict[str, Any]]], title: str, head: str
+                ) -> tuple[str, int]:
     """Return the table of runs with several latencies, and the exit code."""
     rows = []
     for late_s, summary in summaries:
-        low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
         time_s = summary['median_time_of_success_s']
         late = late_s if isinstance(late_s, str) else f'{late_s:g} s'
         rows.append((late, f'{summary["successes"]} of {summary["episodes"]}',
-                     f'{low} to {high} %', '-' if time_s is None else f'{time_s:.2f} s',
-                     str(sum(summary['errors'].values()))))
-    title = _sweep_title(summaries)
-    heads = _HEADS[kind], 'success', '95 % interval', 'median time', 'failed'
+                     _span(summary['success_rate_95']),
+                     '-' if time_s is None else f'{time_s:.2f} s', str(sum(summary['errors'].values()))))
+    heads = head, 'success', '95 % interval', 'median time', 'failed'
     return (table(title, heads, rows, terminal_width()),
             int(any(summary['errors'] for _, summary in summaries)))
 
@@ -174,13 +160,13 @@ def _run_one(options: argparse.Namespace, case: dict[str, Any], out: Path
              ) -> dict[str, Any] | None:
     """Run all seeds with latencies and an answer time; return None after an interruption."""
     seeds = parse_seeds(options.seeds)
-    number, count = parse_shard(options.shard)
+    shard = parse_shard(options.shard)
     if options.address is not None and options.engine != 'ray':
         raise ModelError('--address is for --engine ray')
     if options.record and importlib.util.find_spec('mcap') is None:
         raise ManipSimError("--record needs mcap: pip install 'manip_sim[records]'")
-    ros = options.policy.startswith(ROS)
-    if ros and (options.engine == 'ray' or options.worlds not in (None, 1)):
+    if options.policy.startswith(ROS) and (
+            options.engine == 'ray' or options.worlds not in (None, 1)):
         raise ModelError('a ROS node acts in one episode at a time: it needs --worlds 1, and no '
                          '--engine ray')
     latency = {**options.late, 'command': case['command'], 'state': case['state']}
@@ -195,7 +181,7 @@ def _run_one(options: argparse.Namespace, case: dict[str, Any], out: Path
     records = out / RECORDS if options.record else None
     experiment = Experiment(
         setting, options.policy, records, options.policy_limit, options.batch)
-    return run_seeds(experiment, out, seeds, options, (number, count))
+    return run_seeds(experiment, out, seeds, options, shard)
 
 
 def run_seeds(experiment: Experiment, out: Path, seeds: Sequence[int],
@@ -204,9 +190,6 @@ def run_seeds(experiment: Experiment, out: Path, seeds: Sequence[int],
     """
     Run the seeds that a folder does not have yet.
 
-    :param experiment: to run
-    :param out: folder of the run
-    :param seeds: of the whole run
     :param options: ``worlds``, ``engine``, ``address``, ``again`` and ``retry_errors``
     :param shard_of: number and count of the shard
     :returns: the summary, or None after an interruption
@@ -252,8 +235,15 @@ def _interruptible() -> Iterator[None]:
 
 def _collect(rows: Iterator[Row], shard: Shard) -> None:
     """Add rows as they come, and show how far it is."""
+    try:
+        from tqdm import tqdm
+    except ImportError as error:
+        raise ManipSimError("progress needs tqdm: pip install 'manip_sim[run]'") from error
     successes, episodes = shard.successes, shard.done
-    with contextlib.closing(rows), _progress(shard) as bar:  # type: ignore[type-var]
+    with contextlib.closing(rows), tqdm(  # type: ignore[type-var]
+            total=episodes + len(shard.left), initial=episodes, unit='episode',
+            # Without a terminal, a line now and then.
+            mininterval=0.1 if sys.stderr.isatty() else 30.0, dynamic_ncols=True) as bar:
         for row in rows:
             shard.add(row)
             episodes, successes = episodes + 1, successes + row.success
@@ -261,22 +251,11 @@ def _collect(rows: Iterator[Row], shard: Shard) -> None:
             bar.update()
 
 
-def _progress(shard: Shard) -> Any:
-    try:
-        from tqdm import tqdm
-    except ImportError as error:
-        raise ManipSimError("progress needs tqdm: pip install 'manip_sim[run]'") from error
-    # Without a terminal, a line now and then.
-    often = 0.1 if sys.stderr.isatty() else 30.0
-    return tqdm(total=shard.done + len(shard.left), initial=shard.done, unit='episode',
-                mininterval=often, dynamic_ncols=True)
-
-
 def _merge(options: argparse.Namespace) -> tuple[str, int]:
     first = read_run(options.folders[0])
-    runs = []
-    for path in options.folders:  # A RunFolder would be made where there is none.
-        runs.append(RunFolder(path, first.description, read_run(path).seeds, first.period_s))
+    # A RunFolder alone would be made where there is none.
+    runs = [RunFolder(path, first.description, read_run(path).seeds, first.period_s)
+            for path in options.folders]
     seeds = [*dict.fromkeys(seed for folder in runs for seed in folder.seeds)]
     target = RunFolder(options.out, first.description, seeds, first.period_s)
     folders_by_seed: dict[int, Path] = {}
@@ -313,7 +292,6 @@ def _answers(summary: dict[str, Any]) -> str:
 
 def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
     count, late = summary['episodes'], summary['latency']
-    low, high = (f'{100.0 * limit:.1f}' for limit in summary['success_rate_95'])
     time_s = summary['median_time_of_success_s']
     rows = [
         ('task', f'{summary["task"]}, {summary["robot"]}'), ('policy', summary['policy']),
@@ -327,8 +305,8 @@ def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
           if (noise := summary.get('noise')) else ()),
         ('episodes', f'{count} of {summary["of"]}'),
         ('success', f'{summary["successes"]} of {count}: '
-                    f'{100.0 * (summary["success_rate"] or 0.0):.1f} %, 95 % interval {low} to '
-                    f'{high} %'),
+                    f'{100.0 * (summary["success_rate"] or 0.0):.1f} %, 95 % interval '
+                    f'{_span(summary["success_rate_95"])}'),
         ('median time', '-' if time_s is None else f'{time_s:.2f} s'),
         ('mean return', f'{summary["mean_return"] or 0.0:.2f}'), ('answers', _answers(summary))]
     rows += [('failed', f'{number} x {error}') for error, number in summary['errors'].items()]
@@ -336,7 +314,6 @@ def _summary_text(summary: dict[str, Any]) -> tuple[str, int]:
             int(bool(summary['errors'])))
 
 
-_INTERRUPTED = 130
 #: Seeds that differ and are listed, and shown in videos; of more, only the number is told.
 _LISTED, _FILMED = 50, 10
 _MOST_SEEDS = 10_000
@@ -345,11 +322,11 @@ _MOST_SEEDS = 10_000
 def compare_runs(options: argparse.Namespace) -> tuple[str, int]:
     """Compare; return the tables, and 1 if a run is worse by more than the threshold."""
     try:
-        comparison = _comparison(options)
+        comparison = compare([read_run(path) for path in options.runs], options.across)
         if options.until is not None and comparison.width > options.until:
             grown = _add_seeds(options, comparison)
             if grown is None:
-                return 'interrupted; run the same command again to continue', _INTERRUPTED
+                return _CONTINUE, _INTERRUPTED
             comparison = grown
         lines = _film(options, comparison) if options.video is not None else []
     except (ManipSimError, OSError) as error:
@@ -363,10 +340,6 @@ def compare_runs(options: argparse.Namespace) -> tuple[str, int]:
     else:
         text = _text(options, comparison, lines)
     return text, int(bool(worse))
-
-
-def _comparison(options: argparse.Namespace) -> Comparison:
-    return compare([read_run(path) for path in options.runs], options.across)
 
 
 def _add_seeds(options: argparse.Namespace, comparison: Comparison) -> Comparison | None:
@@ -384,7 +357,7 @@ def _add_seeds(options: argparse.Namespace, comparison: Comparison) -> Compariso
             print(f'{run.path}: {len(all_seeds)} seeds', file=sys.stderr)
             if run_seeds(experiment, run.path.absolute(), all_seeds, how) is None:
                 return None
-        comparison = _comparison(options)
+        comparison = compare([read_run(path) for path in options.runs], options.across)
     return comparison
 
 
@@ -433,7 +406,10 @@ def _text(options: argparse.Namespace, comparison: Comparison, lines: list[str])
             for run, pairs in zip(comparison.runs[1:], comparison.pairs)], width))
     tables.append(_differing(comparison, width))
     notes = [f'{comparison.equal} of {count} episodes are equal to the last bit in all runs',
-             *_verdicts(options, comparison), *comparison.notes, *_changed(comparison), *lines]
+             *([] if options.threshold is None else [
+                 f'{run.path}: {_verdict(pairs, options.threshold)}'
+                 for run, pairs in zip(comparison.runs[1:], comparison.pairs)]),
+             *comparison.notes, *_changed(comparison), *lines]
     return '\n'.join([text for text in tables if text] + notes)
 
 
@@ -469,14 +445,6 @@ def _begin_of_difference(first: StoredRun, second: StoredRun, seed: int) -> str:
     if period == 0:
         return 'at the start'
     return f'from period {period} on ({period * first.period_s:.2f} s)'
-
-
-def _verdicts(options: argparse.Namespace, comparison: Comparison) -> list[str]:
-    """Return a line for each run about the threshold, if there is one."""
-    if options.threshold is None:
-        return []
-    return [f'{run.path}: {_verdict(pairs, options.threshold)}'
-            for run, pairs in zip(comparison.runs[1:], comparison.pairs)]
 
 
 def _verdict(pairs: Pairs, threshold: float) -> str:

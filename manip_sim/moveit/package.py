@@ -9,7 +9,7 @@ The latter starts the controllers: URDF with the tag, their parameters, launch f
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 import copy
 from pathlib import Path
 import re
@@ -67,8 +67,6 @@ def build_files(package: str, summary: str, dependencies: Iterable[str], folders
 
     :param summary: beginning of its description
     :param dependencies: packages that it needs when it is used
-    :param folders: that are installed
-    :param more: further lines of ``CMakeLists.txt``
     """
     needed = '\n'.join(f'  <exec_depend>{name}</exec_depend>' for name in dependencies)
     return {
@@ -77,11 +75,7 @@ def build_files(package: str, summary: str, dependencies: Iterable[str], folders
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """
-    Write all files of a package, or none.
-
-    :param folder: new or empty
-    """
+    """Write all files of a package, or none."""
     with tempfile.TemporaryDirectory(dir=folder.parent) as unfinished:
         for name, content in files.items():
             file = Path(unfinished, folder.name, name)
@@ -557,12 +551,10 @@ def effort_gains(inertia: float) -> Settings:
             'd': round(2.0 * _DAMPING * inertia * _FREQUENCY, 4)}
 
 
-def velocity_gains(_inertia: float) -> Settings:
-    """Return the gains of a joint in velocity mode."""
-    return {'p': _VELOCITY_GAIN, 'i': 0.0, 'd': 0.0, 'ff_velocity_scale': 1.0}
-
-
-_GAINS = {'velocity': velocity_gains, 'effort': effort_gains}
+#: By mode, for the effective inertia of a joint.
+_GAINS: dict[str, Callable[[float], Settings]] = {
+    'effort': effort_gains, 'velocity': lambda _: {
+        'p': _VELOCITY_GAIN, 'i': 0.0, 'd': 0.0, 'ff_velocity_scale': 1.0}}
 
 
 def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[str],

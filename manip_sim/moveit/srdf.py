@@ -41,7 +41,6 @@ class Group:
     """
     A planning group.
 
-    :ivar part: name of the part that it is
     :ivar joints: scalar joints, in the order of the part
     :ivar active: the joints that are planned for: neither followers nor passive
     :ivar driven: the joints that a trajectory for the part's controller names
@@ -201,8 +200,6 @@ def write_srdf(name: str, groups: Iterable[Group], postures: Iterable[GroupState
     Return the SRDF.
 
     :param groups: the planning groups; one that consists of others comes after them
-    :param postures: that become group states
-    :param passive: joints that are not planned for
     :param disabled: reason by pair of links
     """
     robot, groups = ElementTree.Element('robot', name=name), list(groups)
@@ -264,7 +261,6 @@ def disabled_pairs(world: World, robot: RobotModel, links: Mapping[int, str],
     cannot move relative to one another. ``Default``: they touch in a posture. ``Always``: they
     collide in all random configurations. ``Never``: they come near each other in none of them.
 
-    :param links: names by id of the body
     :param postures: links that touch in one of these are not checked against each other
     """
     model, excluded = _without_filters(world, robot)
@@ -323,7 +319,6 @@ class _Sampler:
     Looks for collisions of a robot with itself.
 
     :param model: as from :func:`_without_filters`
-    :param links: names by id of the body
     :ivar bodies: ids of those with shapes that collide, parents first
     """
 

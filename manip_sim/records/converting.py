@@ -413,9 +413,12 @@ class _Writer:
         """Add an episode."""
         columns = _columns(frames)
         cameras = {f'observation.images.{camera}': camera for camera in frames.cameras}
-        features = {**{key: _feature(quantity) for key, quantity in columns.items()}, **{
-            key: _image_feature(next(frames.images(camera)).shape)
-            for key, camera in cameras.items()}}
+        features: dict[str, Any] = {
+            key: {'dtype': str(quantity.values.dtype), 'shape': [quantity.values.shape[1]],
+                  'names': quantity.names} for key, quantity in columns.items()}
+        for key, camera in cameras.items():
+            features[key] = {'dtype': 'video', 'shape': list(next(frames.images(camera)).shape),
+                             'names': ['height', 'width', 'channels']}
         rate_hz = 1.0 / frames.recorded.period_s
         fps = round(rate_hz)
         # A period of whole nanoseconds cannot be 1/30 s.
@@ -450,7 +453,9 @@ class _Writer:
         for key, quantity in columns.items():
             values = quantity.values[:count]
             self._statistics.setdefault(key, []).append(values)
-            arrays[key] = _fixed_lists(values) if values.shape[1] > 1 else values[:, 0]
+            arrays[key] = values[:, 0] if values.shape[1] == 1 else (
+                pyarrow.FixedSizeListArray.from_arrays(
+                    pyarrow.array(np.ascontiguousarray(values).ravel()), values.shape[1]))
         index = np.arange(count)
         arrays.update({
             'timestamp': (index / self._fps).astype(np.float32), 'frame_index': index,
@@ -516,8 +521,8 @@ class _Writer:
         statistics = {key: _statistics(np.concatenate(values))
                       for key, values in self._statistics.items()}
         statistics.update((key, images.result()) for key, images in self._images.items())
-        self._write_json('meta/stats.json', statistics)
-        self._write_json('meta/info.json', self._info())
+        for name, content in (('stats', statistics), ('info', self._info())):
+            (self._folder / f'meta/{name}.json').write_text(json.dumps(content, indent=4))
         return self._total
 
     def _info(self) -> dict[str, Any]:
@@ -536,9 +541,6 @@ class _Writer:
             'fps': self._fps, 'splits': {'train': f'0:{len(self._rows)}'}, 'data_path': _DATA,
             'video_path': _VIDEO if self._videos else None, 'features': features}
 
-    def _write_json(self, name: str, content: Any) -> None:
-        (self._folder / name).write_text(json.dumps(content, indent=4))
-
 
 def _place(pattern: str, number: int, **names: str) -> str:
     return pattern.format(chunk_index=number // _CHUNK, file_index=number % _CHUNK, **names)
@@ -547,7 +549,9 @@ def _place(pattern: str, number: int, **names: str) -> str:
 def _columns(frames: Frames) -> dict[str, Columns]:
     """Return observations and actions, a row per control period."""
     count = len(frames.actions)
-    columns = {'action': Columns(frames.actions, _action_names(frames))}
+    names, size = json.loads(frames.recorded.about['action_names']), frames.actions.shape[1]
+    columns = {'action': Columns(frames.actions, names if len(names) == size else [
+        f'action{index}' for index in range(size)])}
     for place, quantities in (('observation.', frames.observed), ('truth.', frames.truth)):
         if quantities is None:
             continue
@@ -565,30 +569,9 @@ def _columns(frames: Frames) -> dict[str, Columns]:
     return columns
 
 
-def _action_names(frames: Frames) -> list[str]:
-    names = json.loads(frames.recorded.about['action_names'])
-    size = frames.actions.shape[1]
-    return names if len(names) == size else [f'action{index}' for index in range(size)]
-
-
 def _joined(quantities: list[Columns]) -> Columns:
     return Columns(np.concatenate([quantity.values for quantity in quantities], axis=1),
                    [name for quantity in quantities for name in quantity.names])
-
-
-def _feature(quantity: Columns) -> dict[str, Any]:
-    return {'dtype': str(quantity.values.dtype), 'shape': [quantity.values.shape[1]],
-            'names': quantity.names}
-
-
-def _image_feature(shape: tuple[int, ...]) -> dict[str, Any]:
-    return {'dtype': 'video', 'shape': list(shape), 'names': ['height', 'width', 'channels']}
-
-
-def _fixed_lists(values: NDArray[Any]) -> Any:
-    import pyarrow
-    return pyarrow.FixedSizeListArray.from_arrays(
-        pyarrow.array(np.ascontiguousarray(values).ravel()), values.shape[1])
 
 
 def _statistics(values: NDArray[Any]) -> dict[str, Any]:

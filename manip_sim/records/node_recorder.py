@@ -166,8 +166,10 @@ class _NodeRecorder:
         self._executor.spin_until_future_complete(values, _PARAMETERS_S)
         if not values.done():
             return {}
-        return {name: _plain(parameter_value_to_python(value)) for name, value in zip(
+        parameters = {name: parameter_value_to_python(value) for name, value in zip(
             names, values.result().values) if not name.startswith('qos_overrides.')}
+        return {name: value if isinstance(value, (str, bytes, bool, int, float, type(None))) else
+                list(value) for name, value in parameters.items()}
 
     def _look(self) -> None:
         """Subscribe to topics that are new."""
@@ -178,7 +180,8 @@ class _NodeRecorder:
     def _subscribe(self, topic: str, kind: str) -> Any:
         assert self._file is not None
         try:
-            cls = _message_class(kind)
+            package, folder, type_name = kind.split('/')
+            cls = getattr(importlib.import_module(f'{package}.{folder}'), type_name)
             text = joined(kind, installed) + '\n'
         except (ImportError, AttributeError, RecordError) as error:
             self._notes.append(f'{topic} was left out: {kind} is not installed ({error})')
@@ -226,10 +229,7 @@ class _NodeRecorder:
                 self._executor.spin_once(timeout_sec=0.1)
             except ExternalShutdownException:
                 break
-        self._take_waiting()
-
-    def _take_waiting(self) -> None:
-        """Record the messages that wait now; no later ones, as topics may be faster than this."""
+        # The messages that wait now; no later ones, as topics may be faster than this.
         now_ns = time.time_ns()
         for subscription in self._node.subscriptions:
             received_ns = 0
@@ -252,11 +252,6 @@ class _NodeRecorder:
                           f'{time.monotonic() - self._begin_s:.1f} s, {self._size()})'])
 
 
-def _message_class(kind: str) -> Any:
-    package, middle, name = kind.split('/')
-    return getattr(importlib.import_module(f'{package}.{middle}'), name)
-
-
 def _common(profiles: Sequence[QoSProfile], policy: str, more: Any, less: Any) -> Any:
     return more if profiles and all(getattr(qos, policy) == more for qos in profiles) else less
 
@@ -273,10 +268,3 @@ def _described(profile: QoSProfile) -> dict[str, Any]:
         'liveliness': int(profile.liveliness),
         'liveliness_lease_duration': duration(profile.liveliness_lease_duration),
         'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions}
-
-
-def _plain(value: Any) -> Any:
-    """Return a value of a parameter as YAML has it."""
-    if isinstance(value, (str, bytes, bool, int, float)) or value is None:
-        return value
-    return list(value)

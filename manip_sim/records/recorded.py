@@ -4,7 +4,8 @@
 """
 Read records of episodes and of nodes, whole or cut off.
 
-They may come from anybody: bytes, pixels and names are bounded, and damaged records rejected.
+They may come from anybody: bytes, pixels and names are bounded, and damaged records rejected with
+a RecordError.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import io
 import json
 from pathlib import Path
 import re
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 import warnings
 import zipfile
 import zlib
@@ -52,22 +53,14 @@ _MAX_ITEMS = 5_000_000
 
 
 def check_name(name: str, kind: str) -> str:
-    """
-    Return a name that is printable and not too long.
-
-    :raises RecordError: if it is none
-    """
+    """Return a name, which must be printable and not too long."""
     if len(name) > _MAX_NAME or not name.isprintable():
         raise RecordError(f'damaged: {quoted(name)} cannot be the name of a {kind}')
     return name
 
 
 def check_topic(name: str) -> str:
-    """
-    Return the name of a topic, of which files can be named.
-
-    :raises RecordError: if it is none, or leads out of a folder
-    """
+    """Return the name of a topic; files are named after it, so it must not leave a folder."""
     if not _TOPIC.fullmatch(check_name(name, 'topic')) or {'.', '..'} & set(name.split('/')):
         raise RecordError(f'damaged: {quoted(name)} cannot be the name of a topic')
     return name
@@ -86,11 +79,7 @@ def parse_json(text: str) -> Any:
 
 
 def check_about(about: Mapping[str, str]) -> None:
-    """
-    Check what describes an episode.
-
-    :raises RecordError: if it is of another version, or damaged
-    """
+    """Check what describes an episode: its version, keys, numbers and names."""
     if about.get('format') != FORMAT:
         raise RecordError(f'the record has the format {quoted(about.get("format", ""))}, and '
                           f'manip_sim reads {FORMAT}')
@@ -129,12 +118,7 @@ def _are_names(value: Any) -> bool:
 
 
 def unpacked(chunk: Any) -> bytes:
-    """
-    Return the content of a chunk, which has the size that it says.
-
-    :param chunk: an ``mcap.records.Chunk``
-    :raises RecordError: if it is larger, too large, or compressed in an unknown way
-    """
+    """Return the content of an ``mcap.records.Chunk``, which must have the size that it says."""
     size: int = chunk.uncompressed_size
     if size > _MAX_CHUNK:
         raise RecordError(f'a chunk has {size} bytes, and at most {_MAX_CHUNK} are read')
@@ -157,12 +141,10 @@ def unpacked(chunk: Any) -> bytes:
 
 def image(content: bytes, noun: str = 'an image') -> NDArray[np.uint8]:
     """
-    Return a compressed image.
+    Return an image, rgb, shape (height, width, 3); one of too many pixels is not unpacked.
 
     :param content: JPEG or PNG
     :param noun: it is, for the message
-    :returns: rgb, shape (height, width, 3)
-    :raises RecordError: if it cannot be read, or has too many pixels; they are not unpacked then
     """
     from PIL import Image, UnidentifiedImageError
     try:
@@ -182,11 +164,7 @@ def image(content: bytes, noun: str = 'an image') -> NDArray[np.uint8]:
 
 
 def model_xml(archive: bytes) -> str:
-    """
-    Return the MJCF in a model archive.
-
-    :raises RecordError: if it cannot be read, or is too large; it is not unpacked then
-    """
+    """Return the MJCF in a model archive; one that is too large is not unpacked."""
     try:
         with zipfile.ZipFile(io.BytesIO(archive)) as file:
             if file.getinfo('model.xml').file_size > _MAX_MODEL:
@@ -212,12 +190,7 @@ def files_of(archive: bytes) -> dict[str, tuple[int, int]] | None:
 
 
 def finite(values: FloatArray, noun: str) -> FloatArray:
-    """
-    Return numbers, which are finite.
-
-    :param noun: they are, for the message
-    :raises RecordError: if one is not
-    """
+    """Return numbers, which must be finite; the message of the error names them by a noun."""
     if not np.isfinite(values).all():
         raise RecordError(f'{noun} has numbers that are not finite')
     return values
@@ -229,10 +202,8 @@ class CutOff(Exception):
 
 class BoundedFile:
     """
-    A file that never reads, or reserves memory for, more than it has.
+    A file, at its begin, that never reads or reserves memory for more than its size [bytes].
 
-    :param file: at its begin
-    :param size: of the file [bytes]
     :ivar reads: since the last record of a known kind; the caller sets it to 0
     """
 
@@ -245,10 +216,10 @@ class BoundedFile:
         Return some bytes.
 
         :raises CutOff: if there are less
-        :raises RecordError: after many records of unknown kinds, such as in a file of zeros
         """
         self.reads += 1
         if self.reads > _MOST_READS:
+            # Such as in a file of zeros.
             raise RecordError(f'damaged before byte {self.position}: no record of a known kind')
         if length > self._size - self.position:
             raise CutOff
@@ -263,6 +234,13 @@ _SHOWN = {full_name(name) for name in (
     'geometry_msgs/PoseStamped', 'geometry_msgs/WrenchStamped', 'sensor_msgs/CompressedImage',
     'sensor_msgs/JointState')}
 _MAGIC = b'\x89MCAP0\r\n'
+
+
+class _Received(NamedTuple):
+    topic: str
+    type_name: str
+    time_ns: int
+    content: bytes
 
 
 @dataclass
@@ -283,11 +261,7 @@ class Recorded:
     _size: int = field(default=0, init=False, repr=False)
 
     def add(self, topic: str, type_name: str, time_ns: int, content: bytes) -> None:
-        """
-        Add a message.
-
-        :raises RecordError: if it is too much
-        """
+        """Add a message; too much content is rejected."""
         self._size += len(content) + MESSAGE_BYTES
         if self._size > MAX_BYTES:
             raise RecordError(f'an episode, or a world of a node, has more than {MAX_BYTES} '
@@ -303,14 +277,11 @@ class Recorded:
         :param type_name: that it must have, such as ``std_msgs/Bool``
         :raises RecordError: if it has another type, or a message cannot be read
         """
-        return list(self._each(topic, type_name))
-
-    def _each(self, topic: str, type_name: str) -> Iterator[Any]:
         kind = self.types.get(topic)
         if kind not in (None, full_name(type_name)):
             raise RecordError(f'{topic} should be {full_name(type_name)}, not {quoted(kind)}')
         decode = _decoder(type_name)
-        return (decode(content) for _, content in self.messages.get(topic, ()))
+        return [decode(content) for _, content in self.messages.get(topic, ())]
 
 
 class RecordedWorld(Recorded):
@@ -379,7 +350,7 @@ class RecordedEpisode(Recorded):
         :raises RecordError: if the messages are not of that type and of one length
         """
         arrays = [np.array(message.data, dtype=np.float64)
-                  for message in self._each(topic, 'std_msgs/Float64MultiArray')]
+                  for message in self.decoded(topic, 'std_msgs/Float64MultiArray')]
         if len({len(numbers) for numbers in arrays}) > 1:
             raise RecordError(f'{topic} has arrays of different lengths')
         return np.stack(arrays) if arrays else np.empty((0, 0))
@@ -437,7 +408,6 @@ class Record:
     """
     A record of episodes.
 
-    :param path: of the file
     :ivar path: of the file
     :ivar cut_off: whether the file has turned out to end before its end was written, as when its
         writer was killed
@@ -518,40 +488,43 @@ class Record:
                 return
 
     def _journal(self, file: BinaryIO) -> Iterator[str]:
-        from mcap.records import Channel, Message, Metadata, Schema
-        schemas: dict[int, str] = {}
-        topic, channels, decode = '', set[int](), _decoder('std_msgs/String')
-        for item in self._items(file):
-            if isinstance(item, Metadata) and item.name == NODE:
+        from mcap.records import Metadata
+        topic, decode = '', _decoder('std_msgs/String')
+        for item in self._described(file, full_name('std_msgs/String')):
+            if isinstance(item, _Received):
+                if item.topic == topic:
+                    yield decode(item.content).data
+            elif isinstance(item, Metadata) and item.name == NODE:
                 topic = f"{item.metadata.get('node', '')}/journal"
-            elif isinstance(item, Schema):
-                schemas[item.id] = check_name(item.name, 'type')
-            elif isinstance(item, Channel):
-                if check_topic(item.topic) == topic and schemas.get(
-                        item.schema_id) == full_name('std_msgs/String'):
-                    channels.add(item.id)
-            elif isinstance(item, Message) and item.channel_id in channels:
-                yield decode(item.data).data
 
     def _messages(self, file: BinaryIO, kind: str) -> Iterator[tuple[str, int, bytes]]:
-        from mcap.records import Channel, Message, Schema
-        schemas: dict[int, str] = {}
-        channels: dict[int, str] = {}
-        for item in self._items(file):
-            if isinstance(item, Schema):
-                schemas[item.id] = check_name(item.name, 'type')
-            elif isinstance(item, Channel) and schemas.get(item.schema_id) == kind:
-                channels[item.id] = check_topic(item.topic)
-            elif isinstance(item, Message) and item.channel_id in channels:
-                yield channels[item.channel_id], item.log_time, item.data
+        return ((item.topic, item.time_ns, item.content) for item in self._described(file, kind)
+                if isinstance(item, _Received))
 
-    def _contents(self, file: BinaryIO) -> Iterator[RecordedEpisode | RecordedWorld]:
-        from mcap.records import Attachment, Channel, Message, Metadata, Schema
-        model, any_yet = b'', False
-        open_one: RecordedEpisode | RecordedWorld | None = None
+    def _described(self, file: BinaryIO, kind: str = '') -> Iterator[Any]:
+        """Yield messages of a type, or of all, with their topics; and other MCAP records."""
+        from mcap.records import Channel, Message, Schema
         schemas: dict[int, str] = {}
         channels: dict[int, tuple[str, str]] = {}
         for item in self._items(file):
+            if isinstance(item, Schema):
+                schemas[item.id] = check_name(item.name, 'type')
+            elif isinstance(item, Channel):
+                name = schemas.get(item.schema_id, '')
+                if kind in ('', name):
+                    channels[item.id] = check_topic(item.topic), name
+            elif not isinstance(item, Message):
+                yield item
+            elif item.channel_id in channels:
+                yield _Received(*channels[item.channel_id], item.log_time, item.data)
+            elif not kind:
+                raise RecordError('damaged: a message of a topic that is not described')
+
+    def _contents(self, file: BinaryIO) -> Iterator[RecordedEpisode | RecordedWorld]:
+        from mcap.records import Attachment, Metadata
+        model, any_yet = b'', False
+        open_one: RecordedEpisode | RecordedWorld | None = None
+        for item in self._described(file):
             if isinstance(item, Attachment) and item.name == MODEL:
                 if isinstance(open_one, RecordedWorld):
                     if open_one.model and open_one.messages:
@@ -559,10 +532,6 @@ class Record:
                         open_one = RecordedWorld(open_one.about, item.data)
                     open_one.model = item.data
                 model = item.data
-            elif isinstance(item, Schema):
-                schemas[item.id] = check_name(item.name, 'type')
-            elif isinstance(item, Channel):
-                channels[item.id] = check_topic(item.topic), schemas.get(item.schema_id, '')
             elif isinstance(item, Metadata) and item.name in (EPISODE, NODE):
                 if open_one is not None:
                     yield open_one
@@ -580,12 +549,9 @@ class Record:
                 open_one.result = item.metadata
                 yield open_one
                 open_one = None
-            elif isinstance(item, Message) and open_one is not None:
-                if item.channel_id not in channels:
-                    raise RecordError('damaged: a message of a topic that is not described')
-                topic, kind = channels[item.channel_id]
-                if kind in _SHOWN or isinstance(open_one, RecordedEpisode):
-                    open_one.add(topic, kind, item.log_time, item.data)
+            elif isinstance(item, _Received) and open_one is not None and (
+                    item.type_name in _SHOWN or isinstance(open_one, RecordedEpisode)):
+                open_one.add(*item)
         if open_one is not None and open_one.messages:
             yield open_one
         elif isinstance(open_one, RecordedEpisode):

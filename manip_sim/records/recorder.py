@@ -80,11 +80,7 @@ _SEPARATOR = '=' * 80
 
 
 def full_name(name: str) -> str:
-    """
-    Return the name of a type as in messages, such as ``std_msgs/msg/Bool``.
-
-    :param name: such as ``std_msgs/Bool``
-    """
+    """Return ``std_msgs/msg/Bool``, the name of a type in messages, from ``std_msgs/Bool``."""
     return name.replace('/', '/msg/')
 
 
@@ -95,12 +91,11 @@ def definition(name: str) -> str:
 
     :raises RecordError: if it is not known here and no such package is installed
     """
-    return joined(full_name(name), _text)
+    def text(kind: str) -> str:
+        fields = _FIELDS.get(kind.replace('/msg/', '/'))
+        return installed(kind) if fields is None else fields.replace('; ', '\n')
 
-
-def _text(kind: str) -> str:
-    fields = _FIELDS.get(kind.replace('/msg/', '/'))
-    return installed(kind) if fields is None else fields.replace('; ', '\n')
+    return joined(full_name(name), text)
 
 
 def installed(kind: str) -> str:
@@ -205,12 +200,12 @@ class RecordFile:
 
     Chunks are handed to the operating system once they are complete, at the latest a second after
     their first message, so that the file can be read up to there when the process is killed. If
-    the disk is full, incomplete data is cut off.
+    the disk is full, incomplete data is cut off. All methods raise a RecordError if the file
+    cannot be written.
 
     :param path: of the file
     :param overwrite: replace a file that is there
-    :raises RecordError: if it is there, or cannot be written, or ``mcap`` is not installed
-    :ivar path: of the file
+    :raises RecordError: if it is there, or ``mcap`` is not installed
     """
 
     def __init__(self, path: Path, overwrite: bool = False) -> None:
@@ -239,7 +234,6 @@ class RecordFile:
         """
         Add a topic, once.
 
-        :param topic: its name
         :param type_name: such as ``std_msgs/msg/Bool``
         :param definition: of the type and those in it, as ``ros2msg``
         :param metadata: of the topic, such as its quality of service
@@ -262,7 +256,6 @@ class RecordFile:
         :param time_ns: when it was recorded [ns]
         :param data: serialized, as CDR
         :param published_ns: when it was published [ns]; None for the same time
-        :raises RecordError: if the file cannot be written
         """
         self._check()
         self._writer.add_message(
@@ -273,53 +266,27 @@ class RecordFile:
         self.flush_when_due()
 
     def flush_when_due(self) -> None:
-        """
-        Write the chunk that is begun if a second has passed; call it where no messages come.
-
-        :raises RecordError: if the file cannot be written
-        """
+        """Write the chunk that is begun if a second has passed; call it where no messages come."""
         if self._pending and time.monotonic() - self._written_s > _FLUSH_S:
             self.flush()
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int = 0) -> None:
-        """
-        Attach a file.
-
-        :param name: such as ``model.mjz``
-        :param media_type: such as ``application/zip``
-        :param data: its content
-        :param time_ns: when [ns]
-        :raises RecordError: if the file cannot be written
-        """
+        """Attach a file, such as ``model.mjz`` of the type ``application/zip``; time in [ns]."""
         self.flush()
         self._do(lambda: self._writer.add_attachment(time_ns, time_ns, name, media_type, data))
 
     def describe(self, name: str, values: Mapping[str, str]) -> None:
-        """
-        Write metadata of all messages that follow, or of all earlier ones.
-
-        :param name: of the record of metadata
-        :param values: its content
-        :raises RecordError: if the file cannot be written
-        """
+        """Write metadata of all messages that follow, or of all earlier ones, by a name."""
         self.flush()
         self._do(lambda: self._writer.add_metadata(name, dict(values)))
 
     def flush(self) -> None:
-        """
-        Write the chunk that is begun.
-
-        :raises RecordError: if the file cannot be written
-        """
+        """Write the chunk that is begun."""
         self._do(self._writer.flush)
         self._pending, self._written_s = 0, time.monotonic()
 
     def close(self) -> None:
-        """
-        Write the index and close the file; what could not be written was reported before.
-
-        :raises RecordError: if the file cannot be written
-        """
+        """Write the index and close the file; what could not be written was reported before."""
         if self._error is None and not self._file.closed:
             self._do(self._writer.finish)
             self._file.close()
@@ -427,7 +394,9 @@ class EpisodeRecorder:
             self._about = {
                 'format': FORMAT, 'task': task.name, 'instruction': task.instruction,
                 'arguments': json.dumps(task.arguments), 'robot': task.robot.type_name,
-                'robots': json.dumps(_joints(episode.simulation)),
+                'robots': json.dumps({robot.name: {
+                    name: list(part.joints) for name, part in robot.parts.items()
+                    if part.atomic == (name,)} for robot in episode.simulation.robots.values()}),
                 'period_s': repr(episode.period_s), 'action': episode.kind,
                 'action_names': json.dumps(episode.actions.names),
                 **({'noise': json.dumps(episode.noise)} if episode.noise else {}),
@@ -676,12 +645,6 @@ def _recorded_as(channel: Channel) -> str:
     """Return the name of a topic as that of a node without a namespace."""
     name = channel.topic.name
     return f'/manip_sim{name[1:]}' if name[0] == '~' else f'/{name.lstrip("/")}'
-
-
-def _joints(simulation: Simulation) -> dict[str, dict[str, list[str]]]:
-    """Return the names of joints by robot and part."""
-    return {robot.name: {name: list(part.joints) for name, part in robot.parts.items()
-                         if part.atomic == (name,)} for robot in simulation.robots.values()}
 
 
 def physics_state(simulation: Simulation) -> FloatArray:

@@ -81,9 +81,11 @@ class Replay:
                     for steps, action in due:
                         episode.take(action, steps)
                     episode.advance()
-                value = _difference(episode, states[period], digests.get(period))
-                if value is not None and first is None:
-                    first = period, value
+                if first is None and not np.array_equal(
+                        physics_state(episode.simulation), states[period], equal_nan=True):
+                    first = period, 'the state'
+                if first is None and period in digests and digests[period] != episode.digest:
+                    first = period, 'the digest'
         except (CommandError, DivergenceError) as error:
             first = first or (episode.periods + 1, str(error))
         if first is None and recorded.result is not None and (
@@ -119,15 +121,6 @@ class Replay:
             raise RecordError(f'episode {recorded.number} cannot be repeated here: '
                               f'{type(error).__name__} {one_line(str(error), 200)}') from error
         return self._episode
-
-
-def _difference(episode: Episode, state: np.ndarray, digest: str | None) -> str | None:
-    """Return which recorded value differs at the present instant, or None."""
-    if not np.array_equal(physics_state(episode.simulation), state, equal_nan=True):
-        return 'the state'
-    if digest is not None and digest != episode.digest:
-        return 'the digest'
-    return None
 
 
 def _reason(recorded: RecordedEpisode, episode: Episode) -> str:
@@ -209,13 +202,10 @@ class JournalReplay:
     def _leave(self, problem: str) -> None:
         """Give up until the journal begins again."""
         if self._world is not None:
-            self.problems.append(f'{problem}, after {self._where()}')
+            time_s = self._world.simulation.time_ns / 1e9
+            self.problems.append(f'{problem}, after {pluralize(self.periods, "control period")}, '
+                                 f'at {time_s:.6f} s')
         self._world = None
-
-    def _where(self) -> str:
-        assert self._world is not None
-        return (f'{pluralize(self.periods, "control period")}, at '
-                f'{self._world.simulation.time_ns / 1e9:.6f} s')
 
     def _take(self, entry: Any) -> None:
         try:

@@ -154,20 +154,16 @@ def write_side_by_side(file: Path, episodes: Sequence[RecordedEpisode], titles: 
 
 
 def _write(file: Path, shown: Sequence[_Shown], titles: Sequence[str], period_s: float) -> None:
+    from PIL import Image, ImageDraw
     video = VideoFile(file, 0, max(1, round(1.0 / period_s)), (_SIZE[1], _SIZE[0] * len(shown), 3))
     for period in range(max(len(view.states) for view in shown)):
-        images = [_titled(view.image(period), f'{one_line(title, _TITLE_LENGTH)}\n'
-                          f'{min(period, len(view.states) - 1) * period_s:.2f} s')
-                  for view, title in zip(shown, titles)]
+        images = []
+        for view, title in zip(shown, titles):
+            picture = Image.fromarray(view.image(period))
+            ImageDraw.Draw(picture).multiline_text(
+                (_MARGIN, _MARGIN), f'{one_line(title, _TITLE_LENGTH)}\n'
+                f'{min(period, len(view.states) - 1) * period_s:.2f} s', 'white',
+                font_size=_TEXT_SIZE, stroke_width=1, stroke_fill='black')
+            images.append(np.asarray(picture))
         video.add(np.concatenate(images, axis=1), period == 0)
     video.close()
-
-
-def _titled(image: NDArray[np.uint8], title: str) -> NDArray[np.uint8]:
-    """Return an image with a text in its upper left corner."""
-    from PIL import Image, ImageDraw
-    picture = Image.fromarray(image)
-    ImageDraw.Draw(picture).multiline_text(
-        (_MARGIN, _MARGIN), title, 'white', font_size=_TEXT_SIZE, stroke_width=1,
-        stroke_fill='black')
-    return np.asarray(picture)

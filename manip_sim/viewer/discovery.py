@@ -4,7 +4,7 @@
 """
 Find a node, learn its layout from its topics, notice when it changes or goes, read its states.
 
-Messages that cannot be used are counted.
+Functions that read messages raise a MessageError for those that cannot be used; these are counted.
 """
 
 from __future__ import annotations
@@ -50,12 +50,7 @@ _CONTACTS = 'contact_points'
 
 
 def numbers(values: Any, noun: str) -> FloatArray:
-    """
-    Return numbers as an array.
-
-    :param noun: they are, for the message
-    :raises MessageError: if one is not finite, or too large to be drawn
-    """
+    """Return numbers as an array; finite ones that can be drawn, by the noun for the message."""
     array = np.asarray(values, dtype=float)
     bad = array[~(np.abs(array) <= _LARGEST)]
     if bad.size:
@@ -64,11 +59,7 @@ def numbers(values: Any, noun: str) -> FloatArray:
 
 
 def joint_states(message: JointState) -> JointStates:
-    """
-    Return the joints of a message; velocities and efforts that it leaves empty are zero.
-
-    :raises MessageError: if lengths do not fit, a name comes twice or a number is not finite
-    """
+    """Return the joints of a message; velocities and efforts that it leaves empty are zero."""
     count = len(message.name)
     if not 0 < count <= _MAX_JOINTS or len(set(message.name)) < count:
         raise MessageError(f'{pluralize(count, "name")}, of which {len(set(message.name))} '
@@ -86,11 +77,7 @@ def joint_states(message: JointState) -> JointStates:
 
 
 def pose(message: PoseStamped) -> PoseInWorld:
-    """
-    Return the pose of a message.
-
-    :raises MessageError: if a number is not finite or the quaternion is not an orientation
-    """
+    """Return the pose of a message, whose quaternion must be an orientation."""
     at, turn = message.pose.position, message.pose.orientation
     position = numbers([at.x, at.y, at.z], 'position')
     quat = numbers([turn.w, turn.x, turn.y, turn.z], 'orientation')
@@ -101,21 +88,13 @@ def pose(message: PoseStamped) -> PoseInWorld:
 
 
 def wrench(message: WrenchStamped) -> FloatArray:
-    """
-    Return force and torque [N, N m], shape (6,).
-
-    :raises MessageError: if a number is not finite
-    """
+    """Return force and torque [N, N m], shape (6,)."""
     force, torque = message.wrench.force, message.wrench.torque
     return numbers([force.x, force.y, force.z, torque.x, torque.y, torque.z], 'wrench')
 
 
 def image(message: Image) -> NDArray[Any]:
-    """
-    Return the pixels of an image, shape (h, w, 3).
-
-    :raises MessageError: if its encoding is not rgb8, or its data has another size
-    """
+    """Return the pixels of an image in the encoding rgb8, shape (h, w, 3)."""
     height, width, step = message.height, message.width, message.step
     if message.encoding != 'rgb8':
         raise MessageError(f'the encoding is {quoted(message.encoding)}, and only rgb8 is shown')
@@ -128,11 +107,7 @@ def image(message: Image) -> NDArray[Any]:
 
 
 def markers(message: MarkerArray) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """
-    Return contacts, shape (n, 3), and arrows by what they show, shape (n, 2, 3), in ``world`` [m].
-
-    :raises MessageError: if there are too many or a number is not finite
-    """
+    """Return contacts, (n, 3), and arrows by what they show, (n, 2, 3), in ``world`` [m]."""
     if len(message.markers) > _MAX_MARKERS:
         raise MessageError(f'{len(message.markers)} markers, and at most {_MAX_MARKERS} are drawn')
     points = np.zeros((0, 3))
@@ -154,23 +129,14 @@ def _points(marker: Marker) -> FloatArray:
 
 
 def statuses(message: DiagnosticArray, node: str) -> list[ShownStatus]:
-    """
-    Return the statuses of a node; none if the message is of others.
-
-    :param node: its full name, without the first slash
-    :raises MessageError: if there are too many
-    """
+    """Return the statuses of a node by its full name without the first slash, if any."""
     begin = f'{node}: '
     matching = [status for status in message.status if status.name.startswith(begin)]
     if len(matching) > _MAX_STATUSES:
         raise MessageError(f'{len(matching)} statuses, and at most {_MAX_STATUSES} are shown')
-    return [ShownStatus(_level(status.level), status.name.removeprefix(begin), status.message,
+    # rclpy gives the level, a field of type byte, as a bytes object.
+    return [ShownStatus(status.level[0], status.name.removeprefix(begin), status.message,
                         {pair.key: pair.value for pair in status.values}) for status in matching]
-
-
-def _level(level: bytes | int) -> int:
-    # rclpy gives a field of type byte as a bytes object.
-    return level[0] if isinstance(level, bytes) else int(level)
 
 
 #: More than any message but images and models needs [bytes].
@@ -183,9 +149,7 @@ class Readers:
     """
     The subscriptions of the viewer.
 
-    :param node: the viewer's own
     :ivar log: of rejected messages, bounded
-    :ivar rejected: how many messages could not be used
     """
 
     def __init__(self, node: Node) -> None:
@@ -198,7 +162,6 @@ class Readers:
         """
         Subscribe to a topic.
 
-        :param kind: type of its messages
         :param take: takes a message, or raises a :class:`ManipSimError`, which rejects it
         :param most: size of a message at most [bytes]
         :returns: the subscription
@@ -231,6 +194,8 @@ _DESCRIPTION = BY_NAME['robot_description'].name
 #: An absolute name, and how many topics of a node are looked at.
 _NAME = re.compile(r'(/[A-Za-z_][A-Za-z0-9_]*)+')
 _MAX_TOPICS = 5000
+#: Order of the parts on the page.
+_ORDER = ('arm', 'right', 'right/gripper', 'left', 'left/gripper', 'torso', 'base', 'head', 'legs')
 
 
 @dataclass(frozen=True)
@@ -257,7 +222,6 @@ class Layout:
 
     :ivar robots: none as long as none is known
     :ivar objects: names of free bodies
-    :ivar cameras: names
     """
 
     robots: tuple[RobotTopics, ...] = ()
@@ -306,7 +270,8 @@ def _robot(space: str, subscribed: Collection[str]) -> RobotTopics:
     double = 'arm' if {'right', 'left'} <= set(parts) else 'right'
     kept = [part for part in parts if part.count('/') <= part.endswith(_GRIPPER)
             and not (part == double and 'arm' in parts)]
-    return RobotTopics(space, tuple(sorted(kept, key=_order)),
+    return RobotTopics(space, tuple(sorted(kept, key=lambda part: (
+        _ORDER.index(part) if part in _ORDER else len(_ORDER), part))),
                        tuple(sorted(end_effectors, reverse=True)),
                        name_of(space, 'base/cmd_vel') in subscribed)
 
@@ -316,12 +281,6 @@ def _named(space: str, topics: Collection[str], row: str) -> list[str]:
     names = [BY_NAME[row].of_name(topic.removeprefix(space)) for topic in topics
              if topic.startswith(space)]
     return list(filter(None, names))
-
-
-def _order(part: str) -> tuple[int, str]:
-    names = ('arm', 'right', 'right/gripper', 'left', 'left/gripper', 'torso', 'base', 'head',
-             'legs')
-    return names.index(part) if part in names else len(names), part
 
 
 #: Velocity limits of the base where none are declared [m/s, m/s, rad/s].
@@ -341,7 +300,6 @@ class Discovery:
     """
     The properties of the node that have been discovered.
 
-    :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
     :ivar base: namespace of the node, with a slash at its end
     :ivar model: its ``mujoco.MjModel``, or None
@@ -518,10 +476,8 @@ class States:
     """
     Subscriptions to all states of a node.
 
-    :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
     :param base: its namespace, with a slash at its end
-    :ivar latest: the latest messages
     :ivar frames: the frame of the poses of end effectors, by namespace and arm
     """
 
@@ -552,11 +508,16 @@ class States:
                 subscriptions[name_of(robot.space, '<arm>/eef_pose', arm)] = PoseStamped, partial(
                     self._take_end_effector, key)
                 subscriptions[name_of(robot.space, '<arm>/external_wrench', arm)] = (
-                    WrenchStamped, partial(self._take_wrench, key))
+                    WrenchStamped, partial(self._take, 'wrenches', wrench, key))
         for name in layout.objects:
             subscriptions[name_of(self._base, 'objects/<name>/pose', name)] = PoseStamped, partial(
-                self._take_object, name)
-        self._keep(subscriptions)
+                self._take, 'objects', pose, name)
+        lasting = {f'/{self._name}/markers', *(
+            topic for topic in self._subscriptions if topic.endswith('/image_raw'))}
+        for topic in self._subscriptions.keys() - subscriptions.keys() - lasting:
+            self._unsubscribe(topic)
+        for topic, (kind, take) in subscriptions.items():
+            self._subscribe(topic, kind, take)
         arms = {(robot.space, arm) for robot in layout.robots for arm in robot.end_effectors}
         kept: tuple[tuple[dict[Any, Any], Collection[Any]], ...] = (
             (self.latest.objects, layout.objects),
@@ -565,14 +526,6 @@ class States:
         for states, present in kept:
             for key in states.keys() - set(present):
                 del states[key]
-
-    def _keep(self, wanted: dict[str, tuple[Any, Any]]) -> None:
-        lasting = {f'/{self._name}/markers', *(
-            topic for topic in self._subscriptions if topic.endswith('/image_raw'))}
-        for topic in self._subscriptions.keys() - wanted.keys() - lasting:
-            self._unsubscribe(topic)
-        for topic, (kind, take) in wanted.items():
-            self._subscribe(topic, kind, take)
 
     def _subscribe(self, topic: str, kind: Any, take: Any, qos: Any = _NEWEST, **most: int
                    ) -> None:
@@ -599,25 +552,19 @@ class States:
             if topic not in topics:
                 self._unsubscribe(topic)
         for topic, name in topics.items():
-            self._subscribe(topic, Image, partial(self._take_image, name),
+            self._subscribe(topic, Image, partial(self._take, 'images', image, name),
                             qos_profile_sensor_data, most=_MAX_IMAGE_BYTES)
 
     def _take_joints(self, space: str, message: JointState) -> None:
-        self.latest.joints[space] = joint_states(message)
+        self._take('joints', joint_states, space, message)
         self.latest.joints_s = time.monotonic()
 
+    def _take(self, kind: str, read: Callable[[Any], Any], key: Any, message: Any) -> None:
+        getattr(self.latest, kind)[key] = read(message)
+
     def _take_end_effector(self, key: tuple[str, str], message: PoseStamped) -> None:
-        self.latest.end_effectors[key] = pose(message)
+        self._take('end_effectors', pose, key, message)
         self.frames[key] = message.header.frame_id
-
-    def _take_object(self, name: str, message: PoseStamped) -> None:
-        self.latest.objects[name] = pose(message)
-
-    def _take_wrench(self, key: tuple[str, str], message: WrenchStamped) -> None:
-        self.latest.wrenches[key] = wrench(message)
-
-    def _take_image(self, name: str, message: Image) -> None:
-        self.latest.images[name] = image(message)
 
     def _take_markers(self, message: MarkerArray) -> None:
         self.latest.contacts, self.latest.arrows = markers(message)

@@ -8,7 +8,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 import argparse
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+import contextlib
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -42,7 +43,10 @@ _PERIOD_S = 1.0 / 30.0
 _LINE = 1e-4
 #: A browser lays out a plot in place of another one only when its data come again [s].
 _AGAIN_S = 0.5
-_DONE, _FAILED, _CUT_OFF = '#2f9e44', '#e03131', '#868e96'
+_FAILED, _CUT_OFF = '#e03131', '#868e96'
+#: Colour and words for success, failure and a record that ends before.
+_OUTCOMES = {True: ('#2f9e44', 'done'), False: (_FAILED, 'failed'),
+             None: (_CUT_OFF, 'the record ends early')}
 _IMAGE = BY_NAME['<camera>/color/image_raw/compressed']
 #: Of a node, at most so many instants are shown; of more, every second one, or third ...
 _MOST_INSTANTS = 6000
@@ -81,18 +85,18 @@ class RecordedPictures:
 
     def at(self, time_s: float) -> NDArray[np.uint8] | None:
         """Return the newest image at a time, (h, w, 3); None if there is none that can be read."""
-        index = int(np.searchsorted(self.times, time_s + _TOLERANCE_S, 'right')) - 1
-        return None if index < 0 else decoded(self.contents[index])
+        index = _newest(self.times, time_s)
+        if index >= 0:
+            with contextlib.suppress(RecordError):
+                return image(self.contents[index])
+        return None
 
 
 class Shown(ABC):
     """
     Instants, plots and pictures of one model.
 
-    :ivar model: its archive
     :ivar times: of the instants, from the first [s], shape (n,), n >= 1
-    :ivar plots: by name
-    :ivar pictures: by camera
     """
 
     model: bytes
@@ -121,7 +125,6 @@ class ShownEpisode(Shown):
     """
     An episode.
 
-    :param episode: as it was recorded
     :raises RecordError: if a topic cannot be read
     """
 
@@ -131,31 +134,25 @@ class ShownEpisode(Shown):
         self.model = episode.model
         if not len(self._states):
             raise RecordError(f'episode {episode.number} has no states')
-        self.times = np.arange(float(len(self._states))) * episode.period_s
-        self.plots = self._plots()
-        self.pictures = {camera: RecordedPictures(np.arange(float(len(images))) * episode.period_s,
-                                                  [bytes(message.data) for message in images])
-                         for camera, images in _images(episode).items()}
-
-    def _plots(self) -> dict[str, Plotted]:
-        episode, period_s = self._episode, self._episode.period_s
-        plots: dict[str, Plotted] = {}
 
         def times(count: int, first: int = 0) -> FloatArray:
-            return np.arange(float(first), count + first) * period_s
+            return np.arange(float(first), count + first) * episode.period_s
 
-        rewards = [m.data for m in episode.decoded(REWARD, 'std_msgs/Float64')]
-        _add(plots, 'reward', 'reward', ['reward'], [[reward] for reward in rewards],
-             times(len(rewards), 1))
+        self.times = times(len(self._states))
+        self.pictures = {camera: RecordedPictures(times(len(images)), [
+            bytes(message.data) for message in images])
+            for camera, images in _images(episode).items()}
+        self.plots: dict[str, Plotted] = {}
+        rewards = [[m.data] for m in episode.decoded(REWARD, 'std_msgs/Float64')]
+        _add(self.plots, 'reward', 'reward', ['reward'], rewards, times(len(rewards), 1))
         for topic, kind in episode.types.items():
             if kind in _PLOTTED:
                 messages = episode.decoded(topic, _PLOTTED[kind])
-                _add_messages(plots, topic, messages, times(len(messages)))
+                _add_messages(self.plots, topic, messages, times(len(messages)))
         for topic, first in ((ACTION, 1), (GOAL, 0)):
             rows, name = episode.arrays(topic), topic.rpartition('/')[2]
-            _add(plots, name, name, [str(index) for index in range(rows.shape[1])], rows.tolist(),
-                 times(len(rows), first))
-        return plots
+            _add(self.plots, name, name, [str(index) for index in range(rows.shape[1])],
+                 rows.tolist(), times(len(rows), first))
 
     def check(self, model: mujoco.MjModel) -> None:
         if mujoco.mj_stateSize(model, STATE_PARTS) != self._states.shape[1]:
@@ -167,9 +164,7 @@ class ShownEpisode(Shown):
 
     def lines(self, instant: int) -> list[Line]:
         episode, about = self._episode, self._episode.about
-        success = None if episode.result is None else episode.success
-        color = {True: _DONE, False: _FAILED, None: _CUT_OFF}[success]
-        how = {True: 'done', False: 'failed', None: 'the record ends early'}[success]
+        color, how = _OUTCOMES[None if episode.result is None else episode.success]
         error = (episode.result or {}).get('error', '')
         rewards = self.plots.get('reward')
         reward = '' if rewards is None or not instant else (
@@ -185,7 +180,6 @@ class ShownWorld(Shown):
     """
     A world of a node, by the messages that it sent: joints, free bodies and images.
 
-    :param world: as it was recorded
     :raises RecordError: without joint states or a model, or if a message cannot be read
     """
 
@@ -230,15 +224,15 @@ class ShownWorld(Shown):
             f'Not recorded, and so at their start: {", ".join(missing)}')]
 
     def place(self, kinematics: Kinematics, instant: int) -> None:
-        now_s = self.times[instant] + self._begin_s + _TOLERANCE_S
+        now_s = self.times[instant] + self._begin_s
         newest = [(times[index], messages[index]) for times, messages in self._joints
-                  if (index := int(np.searchsorted(times, now_s, 'right')) - 1) >= 0]
+                  if (index := _newest(times, now_s)) >= 0]
         # Parts have topics of their own, and some end earlier.
         for _, message in sorted(newest, key=lambda entry: float(entry[0])):
             kinematics.set_joints(message.name, message.position)
         for name, (times, messages) in self._bodies.items():
             if messages:
-                at = messages[max(int(np.searchsorted(times, now_s, 'right')) - 1, 0)].pose
+                at = messages[max(_newest(times, now_s), 0)].pose
                 turn = at.orientation
                 kinematics.place(name, _numbers(at.position), np.array(
                     [turn.w, turn.x, turn.y, turn.z]))
@@ -258,9 +252,7 @@ class Entry:
     """
     An episode, or a world of a node, among others.
 
-    :ivar path: of its record
     :ivar number: of it in the record
-    :ivar seed: of the episode
     :ivar success: whether it did the task; None if the record ends before it does
     :ivar node: the full name of the node; empty for an episode
     """
@@ -283,12 +275,9 @@ class Entry:
 
         :raises RecordError: if it cannot be read
         """
-        for number, content in enumerate(Record(self.path).contents()):
-            if isinstance(content, RecordedEpisode):
-                if content.number == self.number and not self.node:
-                    return ShownEpisode(content)
-            elif number == self.number:
-                return ShownWorld(content)
+        for entry, content in _contents(self.path):
+            if (entry.number, entry.node) == (self.number, self.node):
+                return _shown(content)
         raise RecordError(f'{self.path}: the record has changed')
 
 
@@ -297,15 +286,15 @@ def entries_in(paths: Iterable[Path], report: Callable[[str], object] = lambda _
     """
     Return what can be shown of records.
 
-    :param paths: of files, and of folders with them
     :param report: is called with why a file is left out, if others can be shown
     :raises RecordError: if no file can be read, or nothing is in them
     """
     entries: list[Entry] = []
     errors: list[RecordError] = []
     for path in records_in(paths):
-        try:
-            entries += _entries_of(path)
+        try:  # A world reports what it lacks here, not on the page.
+            entries += [entry for entry, content in _contents(path) if not entry.node
+                        or _shown(content)]
         except RecordError as error:
             errors.append(error)
     if not entries:
@@ -315,16 +304,17 @@ def entries_in(paths: Iterable[Path], report: Callable[[str], object] = lambda _
     return entries
 
 
-def _entries_of(path: Path) -> list[Entry]:
-    entries = []
+def _contents(path: Path) -> Iterator[tuple[Entry, RecordedEpisode | RecordedWorld]]:
     for number, content in enumerate(Record(path).contents()):
         if isinstance(content, RecordedEpisode):
-            entries.append(Entry(path, content.number, content.seed,
-                                 None if content.result is None else content.success))
+            yield Entry(path, content.number, content.seed,
+                        None if content.result is None else content.success), content
         else:
-            ShownWorld(content)  # Reports what it lacks here, not on the page.
-            entries.append(Entry(path, number, node=content.node or '?'))
-    return entries
+            yield Entry(path, number, node=content.node or '?'), content
+
+
+def _shown(content: RecordedEpisode | RecordedWorld) -> Shown:
+    return ShownEpisode(content) if isinstance(content, RecordedEpisode) else ShownWorld(content)
 
 
 def described(entries: Iterable[Entry]) -> str:
@@ -332,10 +322,15 @@ def described(entries: Iterable[Entry]) -> str:
     entries = list(entries)
     episodes = [entry for entry in entries if not entry.node]
     failed = sum(entry.success is False for entry in episodes)
-    counts = [f'{pluralize(len(episodes), "episode")}, {failed} of them failed'
-              ] if episodes else []
     worlds = len(entries) - len(episodes)
-    return ' and '.join(counts + [f'{pluralize(worlds, "world")} of nodes'] * bool(worlds))
+    counts = {f'{pluralize(len(episodes), "episode")}, {failed} of them failed': episodes,
+              f'{pluralize(worlds, "world")} of nodes': worlds}
+    return ' and '.join(text for text, number in counts.items() if number)
+
+
+def _newest(times: FloatArray, now_s: float) -> int:
+    """Return the index of the newest of some times at an instant; -1 before the first."""
+    return int(np.searchsorted(times, now_s + _TOLERANCE_S, 'right')) - 1
 
 
 def _is_joints(topic: str) -> bool:
@@ -412,14 +407,6 @@ def _images(recorded: Recorded) -> dict[str, list[Any]]:
             if (camera := _IMAGE.of_name(topic.removeprefix('/')))}
 
 
-def decoded(content: bytes) -> NDArray[np.uint8] | None:
-    """Return an image, shape (h, w, 3); None if it cannot be read."""
-    try:
-        return image(content)
-    except RecordError:
-        return None
-
-
 def show_records(options: argparse.Namespace) -> int:
     """
     Serve the page until SIGINT, SIGTERM or SIGHUP.
@@ -449,24 +436,28 @@ class Player:
     A page that shows one episode, or world of a node, at one of its instants.
 
     :param entries: what can be shown, at least one
-    :param dark: whether the page is dark
     """
 
     def __init__(self, server: Any, entries: list[Entry], dark: bool = False) -> None:
         self._server, self._entries = server, entries
-        self._labels = _labels_of(entries)
+        count: Counter[str] = Counter()
+        labels = []
+        for entry in entries:  # Files of one name in two folders differ.
+            count[entry.label] += 1
+            again = count[entry.label]
+            labels.append(entry.label if again == 1 else f'{entry.label} ({again})')
+        self._labels = tuple(labels)
         self._events = Events()
         self._aiming = Aiming(server)
-        self._model_archive: bytes | None = None
         self._kinematics: Kinematics
+        self._shown: Shown
         self._scene: Scene | None = None
         self._images: dict[str, Any] = {}
         self._plot: Any = None
         self._drawn: tuple[str, ...] | None = None
         self._is_new = False
         self._new_s: float | None = None
-        self._plots: dict[str, Plotted] = {}
-        self._instant = 0
+        self._instant, self._index = 0, -1
         set_theme(server, dark)
         server.gui.set_panel_label('manip_sim')
         self._build()
@@ -487,17 +478,15 @@ class Player:
 
     def _jump(self, destination: str) -> None:
         count = len(self._entries)
-        present = self._index
-        steps = range(-1, -count, -1) if destination == 'Previous' else range(1, count)
-        for step in steps:
-            entry = self._entries[(present + step) % count]
-            if destination != 'Failure' or entry.success is False:
-                self._open((present + step) % count)
+        step = -1 if destination == 'Previous' else 1
+        for index in [(self._index + step * n) % count for n in range(1, count)]:
+            if destination != 'Failure' or self._entries[index].success is False:
+                self._open(index)
                 return
 
     def _open(self, index: int) -> None:
         """Show an episode at its start; one that failed at its end."""
-        if getattr(self, '_index', None) == index:
+        if self._index == index:
             return
         self._index = index
         entry = self._entries[index]
@@ -515,7 +504,7 @@ class Player:
                              count - 1 if entry.success is False else 0)
 
     def _show_model(self, shown: Shown) -> None:
-        is_new = shown.model != self._model_archive
+        is_new = self._scene is None or shown.model != self._shown.model
         model = load_archive(shown.model) if is_new else self._kinematics.model
         shown.check(model)
         if is_new:
@@ -525,8 +514,7 @@ class Player:
             shown.place(self._kinematics, 0)
             self._scene = Scene(self._server, model, self._kinematics.data)
             self._aiming.begin(self._kinematics)
-            self._model_archive = shown.model
-        self._shown, self._plots = shown, shown.plots
+        self._shown = shown
 
     def _show(self, instant: int) -> None:
         if self._scene is None:
@@ -535,10 +523,7 @@ class Player:
         self._shown.place(self._kinematics, instant)
         self._scene.update(self._kinematics.data)
         self._text.show(self._shown.lines(instant))
-        self._show_images()
         self._draw_line()
-
-    def _show_images(self) -> None:
         for camera, pictures in self._shown.pictures.items():
             pixels = pictures.at(self._shown.times[self._instant])
             if pixels is None:
@@ -551,7 +536,7 @@ class Player:
             self._images.pop(camera).remove()
 
     def _draw(self) -> None:
-        chosen = self._plots.get(str(self._quantity.value))
+        chosen = self._chosen()
         drawn = None if chosen is None else (chosen.title, *chosen.names)
         if drawn == self._drawn:
             self._draw_line()
@@ -567,8 +552,11 @@ class Player:
             self._data(chosen), [{'label': 'now', 'stroke': '#868e96', 'width': 1}],
             scales={'x': {'time': False}}, height=220)
 
+    def _chosen(self) -> Plotted | None:
+        return None if self._scene is None else self._shown.plots.get(str(self._quantity.value))
+
     def _draw_line(self) -> None:
-        chosen = self._plots.get(str(self._quantity.value))
+        chosen = self._chosen()
         if self._plot is not None and chosen is not None:
             self._plot.data = self._data(chosen)
 
@@ -594,14 +582,3 @@ class Player:
         self._timeline.update(now_s)
         if self._scene is not None:
             self._aiming.update(self._kinematics)
-
-
-def _labels_of(entries: Iterable[Entry]) -> tuple[str, ...]:
-    """Return what entries are called on the page; files of one name in two folders differ."""
-    count: Counter[str] = Counter()
-    labels = []
-    for entry in entries:
-        count[entry.label] += 1
-        again = count[entry.label]
-        labels.append(entry.label if again == 1 else f'{entry.label} ({again})')
-    return tuple(labels)

@@ -64,11 +64,9 @@ class CommandSender:
     """
     The publishers and service clients for commands.
 
-    :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
     :param frames: those in which the node gives the poses of end effectors, by namespace and arm
     :param notify: called with what could not be done, for people
-    :param record: begins or ends a record of the node
     :ivar paused: called when the simulation has been paused or goes on
     """
 
@@ -237,18 +235,18 @@ def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callab
     """
     Show a node until the window is closed or the process is to end.
 
-    :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
-    :param run_ready: runs the callbacks that are ready
-    :param ended: the signals on which the process is to end
     """
     discovery = Discovery(node, readers, simulation)
     states = States(node, readers, simulation, discovery.base)
     print(f'sim_view: waiting for the node /{simulation}', flush=True)
     while not ended.wait(0.0):
-        models = _wait_for_model(discovery, run_ready, ended)
-        if models is None:
-            return
+        while discovery.model is None:
+            if ended.wait(_LOOK_S / 5.0):
+                return
+            run_ready()
+            discovery.look()
+        models = discovery.models
         posture = Kinematics(discovery.model)
         with _open_window(posture) as window:
             with window.lock():
@@ -291,7 +289,6 @@ def aim(camera: mujoco.MjvCamera, position: NDArray[np.float64], target: NDArray
     """
     Let a free camera look from a position to a target.
 
-    :param camera: is changed
     :param position: in ``world``, shape (3,) [m]
     :param target: in ``world``, shape (3,) [m]
     """
@@ -303,17 +300,6 @@ def aim(camera: mujoco.MjvCamera, position: NDArray[np.float64], target: NDArray
     camera.elevation = math.degrees(math.atan2(way[2], math.hypot(way[0], way[1])))
 
 
-def _wait_for_model(discovery: Discovery, run_ready: Callable[[], None],
-                    ended: EndSignals) -> int | None:
-    """Return the number of the newest model when there is one; None if the process is to end."""
-    while discovery.model is None:
-        if ended.wait(_LOOK_S / 5.0):
-            return None
-        run_ready()
-        discovery.look()
-    return discovery.models
-
-
 #: Longest wait for a record to be completed when the viewer ends [s].
 _CLOSING_S = 10.0
 
@@ -323,7 +309,6 @@ class NodeRecording:
     A record that begins and ends when people say so.
 
     :param node: full name of the node, such as ``/manip_sim``
-    :param folder: where the files are written
     :param report: called with a text, and whether it is a record that was written
     """
 
@@ -376,12 +361,8 @@ class Session:
     """
     A page that shows a node.
 
-    :param node: the viewer's own
     :param simulation: full name of the node that is seen, without the first slash
-    :param dark: whether the page begins dark
     :param commands: whether people can command the node; else there is nothing that could
-    :param poses: those saved before
-    :param records: folder of the records that people make
     """
 
     def __init__(self, node: Node, readers: Readers, simulation: str, server: Any, dark: bool,
@@ -537,7 +518,11 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     :raises ManipSimError: if it cannot listen, read the saved poses, or start ROS
     """
     ended = EndSignals()
-    node = _start_ros(arguments)
+    start_ros(arguments)
+    try:
+        node: Node = rclpy.create_node('sim_view')
+    except RCLError as error:
+        raise ManipSimError(without_source(error)) from error
     try:
         simulation = node.resolve_topic_name(options.node).lstrip('/')
         readers = Readers(node)
@@ -553,15 +538,6 @@ def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
         rclpy.try_shutdown()
     untrusted_models.give_up()
     return leave(0, BACKGROUND_THREAD)
-
-
-def _start_ros(arguments: Sequence[str]) -> Node:
-    start_ros(arguments)
-    try:
-        node: Node = rclpy.create_node('sim_view')
-    except RCLError as error:
-        raise ManipSimError(without_source(error)) from error
-    return node
 
 
 def _serve(node: Node, readers: Readers, simulation: str, executor: PolledExecutor,

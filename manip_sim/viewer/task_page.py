@@ -32,11 +32,7 @@ class TaskPage:
     """
     A page with the world of a task, the time, and the external force.
 
-    :param episode: that is shown
-    :param listen: name or address of the interface to listen on
     :param port: 0 takes one that is free
-    :ivar server: the ``viser.ViserServer``
-    :ivar address: of the page
     :raises ManipSimError: if it cannot listen there
     """
 
@@ -81,7 +77,6 @@ class PageDevice(Device):
     An episode begins as soon as a person does something.
 
     :param episode: whose actions are ``osc_pose``
-    :param listen: name or address of the interface to listen on
     :param port: 0 takes one that is free
     :raises ModelError: if the actions are others
     :raises ManipSimError: if it cannot listen there

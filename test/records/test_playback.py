@@ -279,7 +279,7 @@ def test_the_wrench_at_an_end_effector_and_its_pose_are_plotted(show, tmp_path):
             'position': {'x': second, 'y': 0.2, 'z': 0.3},
             'orientation': dict.fromkeys('xyzw', 0.5)})
     record.close()
-    plots = show(tmp_path / 'node.mcap')._plots
+    plots = show(tmp_path / 'node.mcap')._shown.plots
     assert [name for name in plots if 'joint' not in name] == [
         'cell right external force', 'cell right position']
     assert plots['cell right external force'].values.tolist() == [

@@ -42,7 +42,6 @@ class PageCommands(Protocol):
         Command joints.
 
         :param space: namespace of the robot's topics, such as ``/left/``
-        :param part: that the joints belong to
         :param field: of the commands, such as ``position``
         :param goals: by joint [rad or m, rad/s or m/s, N m or N]
         """
@@ -153,7 +152,7 @@ class Poses:
 
     def __init__(self, file: Path | None = None) -> None:
         self._file = file
-        self._poses = {} if file is None else _read(file)
+        self._poses: dict[str, dict[str, float]] = {} if file is None else _read(file)
 
     @property
     def names(self) -> list[str]:
@@ -209,16 +208,13 @@ def _read(file: Path) -> dict[str, dict[str, float]]:
         raise ManipSimError(f'cannot read {file}: {error.strerror or error}') from error
     except (ValueError, RecursionError) as error:
         raise ManipSimError(f'{file} is not JSON: {error}') from error
-    if not (isinstance(poses, dict) and len(poses) <= _MOST
-            and all(_NAME.fullmatch(name) and _is_pose(pose) for name, pose in poses.items())):
+    if not (isinstance(poses, dict) and len(poses) <= _MOST and all(
+            _NAME.fullmatch(name) and isinstance(pose, dict) and all(
+                type(position) in (int, float) and abs(position) < math.inf
+                for position in pose.values()) for name, pose in poses.items())):
         raise ManipSimError(f'{file} holds no poses: expected at most {_MOST} names, each with '
                             'finite positions by joint')
     return poses
-
-
-def _is_pose(pose: Any) -> bool:
-    return isinstance(pose, dict) and all(
-        type(position) in (int, float) and abs(position) < math.inf for position in pose.values())
 
 
 class PosePanel:
@@ -226,10 +222,6 @@ class PosePanel:
     A folder that saves where the joints are under a name, and moves them there again.
 
     A pose has the joints with a slider of all parts that take positions.
-
-    :param poses: that are saved
-    :param robots: of the node
-    :param notify: called with a message for people, if something could not be done
     """
 
     def __init__(self, gui: Any, poses: Poses, robots: Sequence[Robot], commands: PageCommands,
@@ -326,11 +318,7 @@ _SAME_M = 0.01
 
 @dataclass(frozen=True)
 class _Aimed:
-    """
-    The place and the target of a camera that was aimed, for a window of a size [pixels].
-
-    :ivar direction: of view
-    """
+    """The place and the target of a camera that was aimed, for a window of a size [pixels]."""
 
     position: FloatArray
     look_at: FloatArray
@@ -358,16 +346,17 @@ class Aiming:
         Set the first view of browsers that come; in another world, that of all browsers.
 
         Objects that come and go leave the world the same.
-
-        :param posture: of the world in view
         """
-        world = set(posture.scalar_joints), _fixed_bodies(posture.model)
+        model = posture.model  # The bodies that never move: the arena, and where robots stand.
+        world = set(posture.scalar_joints), {
+            (model.body(i).name, *model.body_pos[i].round(3).tolist())
+            for i in range(model.nbody) if model.body_weldid[i] == 0}
         if world != self._world:
             self._world = world
             self._aimed.clear()
         camera = self._server.initial_camera
         camera.fov = FIELD_OF_VIEW
-        camera.position, camera.look_at = first_view(posture.model, posture.data, _ASPECT)
+        camera.position, camera.look_at = first_view(model, posture.data, _ASPECT)
 
     def update(self, posture: Kinematics) -> None:
         """Aim the cameras that are new or at the first view, after :meth:`begin`."""
@@ -386,7 +375,6 @@ class Aiming:
 
         :param number: of the browser; one that is gone is ignored
         :param view: one of :data:`VIEWS`
-        :param posture: of the world in view
         """
         client = self._server.get_clients().get(number)
         if number is not None and client is not None and view in VIEWS:
@@ -402,12 +390,6 @@ def _is_at(camera: Any, other: Any) -> bool:
 def _size(camera: Any) -> tuple[int, int]:
     """Return width and height of the window of a camera [pixels]."""
     return camera.image_width, max(1, camera.image_height)
-
-
-def _fixed_bodies(model: mujoco.MjModel) -> set[tuple[Any, ...]]:
-    """Return names and places of the bodies that never move: the arena, and where robots stand."""
-    return {(model.body(i).name, *model.body_pos[i].round(3).tolist())
-            for i in range(model.nbody) if model.body_weldid[i] == 0}
 
 
 def _aim(camera: Any, posture: Kinematics, direction: tuple[float, float, float]) -> _Aimed:
@@ -435,7 +417,6 @@ class EndEffectorTarget:
     The target of one end effector.
 
     :param space: namespace of the robot's topics, such as ``/left/``
-    :param arm: whose end effector it is
     """
 
     def __init__(self, scene: Any, space: str, arm: str, commands: PageCommands) -> None:
@@ -471,7 +452,6 @@ class EndEffectorTarget:
 
         :param now_s: wall time [s]
         :param position: of the end effector in ``world`` [m]
-        :param quat_wxyz: of the end effector
         :param paused: whether the simulation is paused, so that nothing can move
         """
         moving = paused or self._dragged or np.linalg.norm(position - self._last) > _STILL_M
@@ -498,8 +478,6 @@ class _Drag:
     """
     A body that a person drags.
 
-    :ivar number: of the drag
-    :ivar body: its name
     :ivar begin: where it was taken hold of, in ``world`` [m], shape (3,)
     :ivar target: where the mouse is, in ``world`` [m], shape (3,)
     :ivar held: where it was taken hold of, in the frame of the body; None until it is known
@@ -571,7 +549,6 @@ class Pulling:
         """
         Return the spring as an arrow, in ``world`` [m].
 
-        :param posture: where the bodies are
         :returns: shape (1, 2, 3); (0, 2, 3) if nothing is dragged
         """
         drag = self._drag

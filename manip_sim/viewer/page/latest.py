@@ -59,8 +59,6 @@ class Line:
     """
     A line of text on the page.
 
-    :ivar text: as it is shown
-    :ivar title: stands before it in bold
     :ivar color: of a dot before both, such as ``#2f9e44``; empty for none
     """
 
@@ -70,11 +68,7 @@ class Line:
 
 
 class PlainText:
-    """
-    Lines of text in the panel.
-
-    :param lines: that it begins with
-    """
+    """Lines of text in the panel."""
 
     def __init__(self, gui: Any, lines: Iterable[Line] = ()) -> None:
         self._shown = _as_html(lines)
@@ -118,7 +112,6 @@ class ShownJoint:
     """
     A joint that can be commanded.
 
-    :ivar name: in messages
     :ivar label: a short name for people
     :ivar slides: whether it is a slide joint, in metres and newtons
     :ivar ranges: of goals by field: position [rad or m], velocity [rad/s or m/s] and
@@ -205,7 +198,6 @@ def commanded_joints(model: mujoco.MjModel, names: list[str],
     """
     Return those joints that have an actuator of their own.
 
-    :param names: of the joints of a part
     :param limits: as :func:`declared_limits` returns them
     :param gripper: whether the part is a gripper, whose joints take positions only where the
         actuator is a position servo
@@ -219,8 +211,15 @@ def commanded_joints(model: mujoco.MjModel, names: list[str],
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         if index in driven:
             slides = int(model.jnt_type[index]) == _SLIDE
-            joints.append(ShownJoint(name, plain(labels[name]), slides,
-                                     _ranges(limits.get(name, {}), slides)))
+            declared, far = limits.get(name, {}), _WAY_M if slides else _TURN
+            low, high = declared.get('lower', -far), declared.get('upper', far)
+            if not (0.0 <= high - low <= _MANY * far and abs(low) <= _MANY * far):
+                low, high = -far, far
+            speed = limit_of(declared, 'velocity', _SPEED)
+            effort = limit_of(declared, 'effort', _EFFORT)
+            joints.append(ShownJoint(name, plain(labels[name]), slides, {
+                'position': (low, high), 'velocity': (-speed, speed),
+                'effort': (-effort, effort)}))
     return tuple(joints)
 
 
@@ -228,16 +227,6 @@ def limit_of(limits: Mapping[str, float], key: str, usual: float) -> float:
     """Return a limit of a joint, or the usual one where none is declared that can be used."""
     limit = limits.get(key, 0.0)
     return limit if 0.0 < limit <= _GREAT else usual
-
-
-def _ranges(limits: Mapping[str, float], slides: bool) -> dict[str, tuple[float, float]]:
-    far = _WAY_M if slides else _TURN
-    low, high = limits.get('lower', -far), limits.get('upper', far)
-    if not (0.0 <= high - low <= _MANY * far and abs(low) <= _MANY * far):
-        low, high = -far, far
-    speed = limit_of(limits, 'velocity', _SPEED)
-    effort = limit_of(limits, 'effort', _EFFORT)
-    return {'position': (low, high), 'velocity': (-speed, speed), 'effort': (-effort, effort)}
 
 
 def short_labels(names: list[str]) -> list[str]:
@@ -269,7 +258,6 @@ class ShownStatus:
 
     :ivar level: 0 is all right, 1 is a warning, more is an error
     :ivar name: what it is about, without the name of the node
-    :ivar message: a summary in words
     :ivar values: by key, as in the message
     """
 
@@ -310,46 +298,30 @@ def in_words(statuses: Iterable[ShownStatus]) -> list[Line]:
 def _words(status: ShownStatus) -> str:
     values = status.values
     if 'real_time_factor' in values:
-        words = _simulation(status)
+        words = [f'{values.get("state", status.message)} at {values["real_time_factor"]} times '
+                 'real time', f'{values.get("missed_deadlines", "0")} deadlines missed']
+        words += [f'{count} times {name.removeprefix("mjWARN_")}'
+                  for name, count in values.items() if name.startswith('mjWARN') and count != '0']
+        words += [f'{count} {name.replace("_", " ")}' for name, count in values.items()
+                  if name.startswith('failed_') and count != '0']
+        if (defects := values.get('start_defects', 'none')) != 'none':
+            words.append(f'at the start: {defects}')
     elif 'accepted' in values:
-        words = _commands(status)
-    elif status.name == 'cameras':
-        words = _cameras(values)
-    else:
-        words = ', '.join(f'{key} {value}' for key, value in values.items())
-    plain = status.level == OK and ('accepted' in values or 'real_time_factor' in values)
-    return words if plain else '; '.join(text for text in (status.message, words) if text)
-
-
-def _simulation(status: ShownStatus) -> str:
-    values = status.values
-    words = [f'{values.get("state", status.message)} at {values["real_time_factor"]} times real '
-             'time', f'{values.get("missed_deadlines", "0")} deadlines missed']
-    words += [f'{count} times {name.removeprefix("mjWARN_")}' for name, count in values.items()
-              if name.startswith('mjWARN') and count != '0']
-    words += [f'{count} {name.replace("_", " ")}' for name, count in values.items()
-              if name.startswith('failed_') and count != '0']
-    defects = values.get('start_defects', 'none')
-    return '; '.join(words + ([] if defects == 'none' else [f'at the start: {defects}']))
-
-
-def _commands(status: ShownStatus) -> str:
-    words, values, age_s = [], status.values, status.number('age')
-    if 'control_mode' in values:
-        words.append(f'{values["control_mode"]} mode')
-    if age_s is None:
-        words.append('no command yet')
-    else:
-        words.append(f'{values["accepted"]} commands, {values.get("rate", "0.0")} per second, the '
+        age_s = status.number('age')
+        words = [f'{values["control_mode"]} mode'] if 'control_mode' in values else []
+        words.append('no command yet' if age_s is None else
+                     f'{values["accepted"]} commands, {values.get("rate", "0.0")} per second, the '
                      f'last {age_s:.1f} s ago')
-    words += [f'{values[key]} {outcome}' for key, outcome in _OUTCOMES.items()
-              if values.get(key, '0') != '0']
-    return '; '.join(words)
-
-
-def _cameras(values: Mapping[str, str]) -> str:
-    return '; '.join(f'{key.removesuffix(".rate")} {rate} images per second'
-                     for key, rate in values.items() if key.endswith('.rate'))
+        words += [f'{values[key]} {outcome}' for key, outcome in _OUTCOMES.items()
+                  if values.get(key, '0') != '0']
+    elif status.name == 'cameras':
+        words = [f'{key.removesuffix(".rate")} {rate} images per second'
+                 for key, rate in values.items() if key.endswith('.rate')]
+    else:
+        words = [', '.join(f'{key} {value}' for key, value in values.items())]
+    if status.level != OK or not {'accepted', 'real_time_factor'} & values.keys():
+        words.insert(0, status.message)
+    return '; '.join(filter(None, words))
 
 
 _WINDOW_S = 2.0
@@ -383,7 +355,6 @@ class JointStates:
     """
     The joints of one robot at one instant.
 
-    :ivar names: of the joints
     :ivar position: [rad or m], as long as the names
     :ivar velocity: [rad/s or m/s]
     :ivar effort: [N m or N]
@@ -419,11 +390,9 @@ class Latest:
     :ivar end_effectors: by namespace and arm
     :ivar wrenches: the external wrench, force and torque [N, N m], shape (6,), by namespace and
         arm
-    :ivar objects: by name
     :ivar contacts: where bodies touch, in ``world`` [m], shape (n, 3)
     :ivar arrows: by what they show: from and to, in ``world`` [m], shape (n, 2, 3)
     :ivar images: by camera, shape (h, w, 3); removed when they are shown
-    :ivar diagnostics: the statuses of the node
     :ivar joints_s: wall time of the newest joint states [s]
     """
 

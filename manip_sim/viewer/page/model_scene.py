@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import functools
 import math
@@ -23,8 +23,6 @@ from manip_sim.viewer.page.latest import plain
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-#: A node has one list of joints for each robot; another may send many.
-_MAX_KNOWN = 100
 
 
 class Kinematics:
@@ -41,7 +39,6 @@ class Kinematics:
                         if int(model.jnt_type[i]) in _SCALAR}
         self._free = {model.body(int(model.jnt_bodyid[i])).name: int(model.jnt_qposadr[i])
                       for i in range(model.njnt) if int(model.jnt_type[i]) == _FREE}
-        self._known: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
         self.compute()
 
     @property
@@ -62,14 +59,9 @@ class Kinematics:
         :param names: those that the model does not have are ignored
         :param positions: [rad or m]
         """
-        key = tuple(names)
-        if key not in self._known:
-            if len(self._known) >= _MAX_KNOWN:
-                self._known.clear()
-            rows = [i for i, name in enumerate(key) if name in self._scalar]
-            self._known[key] = rows, [self._scalar[key[i]] for i in rows]
-        rows, addresses = self._known[key]
-        self.data.qpos[addresses] = np.asarray(positions, dtype=float)[rows]
+        for name, position in zip(names, positions):
+            if name in self._scalar:
+                self.data.qpos[self._scalar[name]] = position
 
     def place(self, body: str, position: FloatArray, quat_wxyz: FloatArray) -> None:
         """Set the pose of a free body in ``world`` [m]; other bodies are ignored."""
@@ -113,12 +105,7 @@ def arrange(corners: FloatArray, widths: FloatArray) -> FloatArray:
 
 
 class BodyLabels:
-    """
-    The names of the bodies that have joints.
-
-    :param server: the ``viser.ViserServer``
-    :param model: that has the bodies
-    """
+    """The names of the bodies that have joints."""
 
     def __init__(self, server: Any, model: mujoco.MjModel) -> None:
         self._server = server
@@ -191,15 +178,13 @@ class BodyMesh:
     """
     Shapes of one body that have the same colour.
 
-    :ivar body: its id
     :ivar rgba: in [0, 1]
-    :ivar collides: whether they are collision shapes
     :ivar vertices: in the frame of the body [m], shape (n, 3)
     :ivar faces: indices of vertices, shape (n_faces, 3)
     """
 
     body: int
-    rgba: tuple[float, float, float, float]
+    rgba: tuple[float, ...]
     collides: bool
     vertices: FloatArray
     faces: NDArray[np.int64]
@@ -212,15 +197,19 @@ def body_meshes(model: mujoco.MjModel) -> list[BodyMesh]:
         rgba = geom_rgba(model, geom)
         shape = _shape(model, geom)
         if rgba[3] > 0.0 and shape is not None:
+            matrix = np.eye(4)
+            matrix[:3, :3] = matrix_of(model.geom_quat[geom])
+            matrix[:3, 3] = model.geom_pos[geom]
             key = (int(model.geom_bodyid[geom]), rgba,
                    int(model.geom_group[geom]) >= COLLISION_GROUP)
-            alike.setdefault(key, []).append(_placed(model, geom, shape))
-    return [BodyMesh(body, rgba, collides, *_joined(shapes))  # type: ignore[arg-type]
-            for (body, rgba, collides), shapes in alike.items()]
-
-
-def planes(model: mujoco.MjModel) -> Iterator[int]:
-    return (int(i) for i in np.flatnonzero(model.geom_type == _PLANE))
+            alike.setdefault(key, []).append(shape.copy().apply_transform(matrix))
+    meshes = []
+    for (body, rgba, collides), shapes in alike.items():
+        firsts = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
+        meshes.append(BodyMesh(
+            body, rgba, collides, np.concatenate([shape.vertices for shape in shapes]),
+            np.concatenate([shape.faces + first for shape, first in zip(shapes, firsts)])))
+    return meshes
 
 
 def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
@@ -232,16 +221,12 @@ def geom_rgba(model: mujoco.MjModel, geom: int) -> tuple[float, ...]:
             rgba = np.array(model.mat_rgba[material], dtype=float)
         texture = int(np.atleast_1d(model.mat_texid[material])[_RGB])
         if texture >= 0:
-            rgba[:3] *= _mean_color(model, texture)
+            channels = int(model.tex_nchannel[texture])
+            size = int(model.tex_width[texture]) * int(model.tex_height[texture]) * channels
+            begin = int(model.tex_adr[texture])
+            pixels = model.tex_data[begin:begin + size].reshape(-1, channels)
+            rgba[:3] *= np.resize(pixels.mean(axis=0), 3) / 255.0
     return tuple(round(float(value), 4) for value in rgba)
-
-
-def _mean_color(model: mujoco.MjModel, texture: int) -> FloatArray:
-    channels = int(model.tex_nchannel[texture])
-    size = int(model.tex_width[texture]) * int(model.tex_height[texture]) * channels
-    begin = int(model.tex_adr[texture])
-    mean: FloatArray = model.tex_data[begin:begin + size].reshape(-1, channels).mean(axis=0)
-    return np.resize(mean, 3) / 255.0
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> Any:
@@ -254,9 +239,17 @@ def _shape(model: mujoco.MjModel, geom: int) -> Any:
     if kind == _CYLINDER:
         return _unit_cylinder().copy().apply_scale([size[0], size[0], 2.0 * size[1]])
     if kind == _CAPSULE:
-        return _capsule(float(size[0]), float(size[1]))
+        sphere = _unit_sphere().copy().apply_scale(size[0])
+        # A ring of vertices at the equator belongs to the lower half.
+        sphere.vertices[:, 2] += np.where(sphere.vertices[:, 2] > 1e-9, size[1], -size[1])
+        return sphere
     if kind == _MESH:
-        return _mesh(model, int(model.geom_dataid[geom]))
+        mesh = int(model.geom_dataid[geom])
+        begin, vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        surface = trimesh.Trimesh(model.mesh_vert[begin:begin + vertices],
+                                  model.mesh_face[first:first + faces], process=False)
+        return surface if faces > _MANY_FACES else surface.smooth_shaded
     return None
 
 
@@ -275,36 +268,6 @@ def _unit_sphere() -> Any:
 @functools.cache
 def _unit_cylinder() -> Any:
     return trimesh.creation.cylinder(radius=1.0, height=1.0, sections=32).smooth_shaded
-
-
-def _capsule(radius: float, half_length: float) -> Any:
-    sphere = _unit_sphere().copy().apply_scale(radius)
-    # A ring of vertices at the equator belongs to the lower half.
-    ends = np.where(sphere.vertices[:, 2] > 1e-9, half_length, -half_length)
-    sphere.vertices[:, 2] += ends
-    return sphere
-
-
-def _mesh(model: mujoco.MjModel, mesh: int) -> Any:
-    begin, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    surface = trimesh.Trimesh(model.mesh_vert[begin:begin + count],
-                              model.mesh_face[first:first + faces], process=False)
-    return surface if faces > _MANY_FACES else surface.smooth_shaded
-
-
-def _placed(model: mujoco.MjModel, geom: int, shape: Any) -> Any:
-    matrix = np.eye(4)
-    rotation = np.empty(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    matrix[:3, :3], matrix[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
-    return shape.copy().apply_transform(matrix)
-
-
-def _joined(shapes: list[Any]) -> tuple[FloatArray, NDArray[np.int64]]:
-    firsts = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
-    return (np.concatenate([shape.vertices for shape in shapes]),
-            np.concatenate([shape.faces + first for shape, first in zip(shapes, firsts)]))
 
 
 _NOTHING = np.zeros((0, 3))
@@ -346,23 +309,20 @@ class Overlays:
             handle = None
         if not len(numbers):
             return
-        if handle is None:
-            handle = self._add(kind, numbers)
+        name = f'/overlays/{kind}'
+        if handle is None and kind == _CONTACTS:
+            handle = self._scene.add_point_cloud(
+                name, numbers.astype(np.float32), _POINT, point_size=0.012,
+                point_shape='circle', precision='float32')
+        elif handle is None:
+            handle = self._scene.add_arrows(
+                name, numbers, _COLORS[kind], shaft_radius=_SHAFT_M, head_radius=_HEAD_M,
+                head_length=_HEAD_LENGTH_M)
         elif alike and np.allclose(before, numbers, rtol=0.0, atol=_SAME_ARROW_M):
             numbers = before
         else:
             handle.points = numbers.astype(np.float32)
         self._shown[kind] = numbers, handle
-
-    def _add(self, kind: str, numbers: FloatArray) -> Any:
-        name = f'/overlays/{kind}'
-        if kind == _CONTACTS:
-            return self._scene.add_point_cloud(
-                name, numbers.astype(np.float32), _POINT, point_size=0.012,
-                point_shape='circle', precision='float32')
-        return self._scene.add_arrows(
-            name, numbers, _COLORS[kind], shaft_radius=_SHAFT_M, head_radius=_HEAD_M,
-            head_length=_HEAD_LENGTH_M)
 
 
 ROOT = '/world'
@@ -400,25 +360,30 @@ class Scene:
         self._frames = [server.scene.add_frame(
             path, show_axes=False, axes_length=_AXES_M, axes_radius=_AXES_RADIUS_M)
             for path in self._paths]
-        self._sites = [self._add_site(i) for i in range(model.nsite)
-                       if model.site(i).name.endswith(('ft_frame', 'grip_site'))]
+        self._sites = [server.scene.add_frame(
+            f'{self._paths[int(model.site_bodyid[site])]}/site{site}', show_axes=False,
+            axes_length=0.7 * _AXES_M, axes_radius=_AXES_RADIUS_M,
+            position=model.site_pos[site], wxyz=model.site_quat[site])
+            for site in range(model.nsite)
+            if model.site(site).name.endswith(('ft_frame', 'grip_site'))]
         self._collision: list[Any] = []
         self._visual: list[Any] = []
         #: The shapes of bodies that can move, with the names of these.
         self._moving: list[tuple[str, Any]] = []
         for number, mesh in enumerate(body_meshes(model)):
             self._add_mesh(f'{self._paths[mesh.body]}/shape{number}', mesh)
-        for geom in planes(model):
-            self._add_plane(geom, data)
+        for geom in np.flatnonzero(model.geom_type == _PLANE).tolist():
+            half = model.geom_size[geom, :2]
+            quat = np.empty(4)
+            mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
+            server.scene.add_grid(
+                f'{ROOT}/plane{geom}', position=data.geom_xpos[geom], wxyz=quat,
+                width=2.0 * half[0] or 20.0, height=2.0 * half[1] or 20.0,
+                infinite_grid=not half.all(), cell_size=0.25, section_size=1.0, cell_thickness=0.5,
+                section_thickness=1.0, fade_distance=_FADE_M, shadow_opacity=0.25, **_GRID)
         self._positions = np.full((model.nbody, 3), np.nan)
         self._quats = np.full((model.nbody, 4), np.nan)
         self.update(data)
-
-    def _add_site(self, site: int) -> Any:
-        return self._server.scene.add_frame(
-            f'{self._paths[int(self._model.site_bodyid[site])]}/site{site}',
-            show_axes=False, axes_length=0.7 * _AXES_M, axes_radius=_AXES_RADIUS_M,
-            position=self._model.site_pos[site], wxyz=self._model.site_quat[site])
 
     def _add_mesh(self, name: str, mesh: Any) -> None:
         color = _COLLISION if mesh.collides else tuple(
@@ -430,16 +395,6 @@ class Scene:
         (self._collision if mesh.collides else self._visual).append(handle)
         if self._model.body_weldid[mesh.body] and self._model.body(mesh.body).name:
             self._moving.append((self._model.body(mesh.body).name, handle))
-
-    def _add_plane(self, geom: int, data: mujoco.MjData) -> None:
-        half = self._model.geom_size[geom, :2]
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
-        self._server.scene.add_grid(
-            f'{ROOT}/plane{geom}', position=data.geom_xpos[geom], wxyz=quat,
-            width=2.0 * half[0] or 20.0, height=2.0 * half[1] or 20.0,
-            infinite_grid=not half.all(), cell_size=0.25, section_size=1.0, cell_thickness=0.5,
-            section_thickness=1.0, fade_distance=_FADE_M, shadow_opacity=0.25, **_GRID)
 
     def update(self, data: mujoco.MjData) -> None:
         """Show where the bodies are; only those that moved in their parent are sent."""

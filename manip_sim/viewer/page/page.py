@@ -42,10 +42,8 @@ class SimulationPanel:
         self._paused = False
         self._buttons: Any = None
         self._state = PlainText(gui)
-        if commands is not None:
-            self._add_buttons(gui, commands, events)
-
-    def _add_buttons(self, gui: Any, commands: PageCommands, events: Events) -> None:
+        if commands is None:
+            return
         actions = {'Pause': lambda: commands.pause(True), 'Resume': lambda: commands.pause(False),
                    'Step': commands.step, 'Reset': commands.reset, 'Tare wrench': commands.tare}
         self._buttons = gui.add_button_group('Simulation', ('Pause', 'Step', 'Reset'))
@@ -58,7 +56,6 @@ class SimulationPanel:
         Show the state of the simulation.
 
         :param state: ``running``, ``paused``, ``trouble``, ``waiting`` or ``gone``
-        :param text: the details
         :param paused: whether it is paused, so that the button resumes it; None if not known
         """
         self._state.show([Line(text, color=_COLORS[state])])
@@ -108,9 +105,6 @@ class ViewPanel:
     """
     Buttons that aim the camera, and check boxes of the visible things.
 
-    :param dark: whether the page is dark
-    :param targets: of the end effectors, by title
-    :param set_dark: makes the page dark or light
     :param look: aims the camera of a browser, by its number and the name of a view
     """
 
@@ -168,7 +162,6 @@ class CameraPanel:
     """
     A box to tick for each camera, and its image below.
 
-    :param cameras: names
     :param watch: starts or stops listening to the images of a camera
     """
 
@@ -197,7 +190,6 @@ class CameraPanel:
         Show images, each at most ten times a second; ``now_s`` is wall time [s].
 
         :param images: by camera, shape (h, w, 3); those that are due are removed
-        :param wanted: whether any browser shows the page
         """
         for name in list(images):
             if now_s < self._shown_s.get(name, 0.0) + _PERIOD_S:
@@ -237,11 +229,7 @@ def _marks(low: float, high: float) -> tuple[tuple[float, str], tuple[float, str
 
 
 class ModeChoice:
-    """
-    A list of the control modes of a part; there is none if the part has no choice.
-
-    :param robot: that has the part
-    """
+    """A list of the control modes of a part; there is none if the part has no choice."""
 
     def __init__(self, gui: Any, robot: Robot, part: str, commands: PageCommands, events: Events
                  ) -> None:
@@ -269,15 +257,7 @@ class ModeChoice:
 
 
 class JointPanel:
-    """
-    A folder with a slider for each joint of a part.
-
-    :param robot: the robot that has the part
-    :param part: the part, with its joints
-    :param field: that its commands use, such as ``position``
-    :param folded: whether it begins folded up
-    :param order: place among the folders
-    """
+    """A folder with a slider for each joint of a part."""
 
     def __init__(self, gui: Any, robot: Robot, part: ShownPart, field: str, commands: PageCommands,
                  events: Events, folded: bool = False, order: float = 0.0) -> None:
@@ -297,17 +277,14 @@ class JointPanel:
                                      expand_by_default=not folded, order=order)
         with self.folder:
             if part.is_gripper:
-                self._add_actions(gui)
+                gui.add_button_group('Fingers', ('Open', 'Close')).on_click(
+                    lambda event: events.add(lambda: commands.act(
+                        robot.space, part.name, 1.0 if event.target.value == 'Close' else -1.0)))
             self.mode = ModeChoice(gui, robot, part.name, commands, events)
             for joint in part.joints:
                 self._add_slider(gui, joint)
             if field != 'position':
                 gui.add_button('Stop').on_click(lambda _: events.add(self.stop))
-
-    def _add_actions(self, gui: Any) -> None:
-        group = gui.add_button_group('Fingers', ('Open', 'Close'))
-        group.on_click(lambda event: self._events.add(lambda: self._commands.act(
-            self._robot.space, self._part.name, 1.0 if event.target.value == 'Close' else -1.0)))
 
     def _add_slider(self, gui: Any, joint: ShownJoint) -> None:
         low, high = rounded_inward(*joint.ranges[self.field])
@@ -323,16 +300,13 @@ class JointPanel:
         def moved(event: Any) -> None:
             if event.client_id is not None:  # Otherwise this program changed it.
                 self._following[joint.name].asked(time.monotonic())
-                self._events.add(lambda: self._ask(joint.name))
+                self._events.add(lambda: self._asked.update({joint.name: float(slider.value)}))
         slider.on_update(moved)
 
-    def _ask(self, name: str) -> None:
-        self._asked[name] = float(self._sliders[name].value)
-
     def stop(self) -> None:
-        for name, slider in self._sliders.items():
+        for slider in self._sliders.values():
             slider.value = 0.0
-            self._asked[name] = 0.0
+        self._asked = dict.fromkeys(self._sliders, 0.0)
 
     def send(self, now_s: float) -> None:
         """Send what people have requested since the last call; wall time [s]."""
@@ -366,16 +340,9 @@ class JointPanel:
             if abs(value - slider.value) > 0.5 * _RESOLUTION:
                 slider.value = value
 
-    def remove(self) -> None:
-        self.folder.remove()
-
 
 class DrivePanel:
-    """
-    Sliders for the velocity of a mobile base in its own frame.
-
-    :param robot: the robot that has the base
-    """
+    """Sliders for the velocity of a mobile base in its own frame."""
 
     def __init__(self, gui: Any, robot: Robot, commands: PageCommands, events: Events) -> None:
         assert robot.twist is not None
@@ -408,9 +375,6 @@ class DrivePanel:
         self._stopped, self._sent_s = still, now_s
         self._commands.drive(self._robot.space, (x, y, yaw))
 
-    def remove(self) -> None:
-        self.folder.remove()
-
 
 #: Parts with more joints, and all parts after the first ones, are folded up at first.
 _MANY_JOINTS, _UNFOLDED = 8, 2
@@ -425,8 +389,6 @@ class Page:
 
     :param commands: receives what people command; None: the page can only be watched
     :param watch: starts or stops listening to the images of a camera
-    :param dark: whether it begins dark
-    :param poses: those saved before
     """
 
     def __init__(self, server: Any, commands: PageCommands | None,
@@ -550,7 +512,6 @@ class Page:
         Send what people have requested, and show the newest states.
 
         :param now_s: wall time [s]
-        :param paused: whether the simulation is paused
         """
         if self._poses is not None:
             self._poses.update(latest, self._fields)
@@ -632,7 +593,7 @@ class Page:
         if panel is not None and made_for == needs:
             return panel
         if panel is not None:
-            panel.remove()
+            panel.folder.remove()
         gui = self._server.gui
         with self._control:
             panel = DrivePanel(gui, robot, commands, self.events) if drives else JointPanel(

@@ -89,15 +89,18 @@ class Access:
         address cannot be rebound to another machine by who owns a name, so all are accepted.
 
         :param path: begins with the token, ``/<token>/``
-        :param headers: of the request: names and values
         """
         hosts, origins, upgrades = (
             [value.lower() for name, value in headers if name.lower() == header]
             for header in ('host', 'origin', 'upgrade'))
         match = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
-        if match is None or not self._is_known(match['name']):
-            return (f'the host {quoted(" ".join(hosts))} is unknown; sim_view --allow-host NAME '
-                    'allows a name')
+        name = '' if match is None else match['name']
+        try:
+            ipaddress.ip_address(name.strip('[]'))
+        except ValueError:
+            if name not in self.names:
+                return (f'the host {quoted(" ".join(hosts))} is unknown; sim_view --allow-host '
+                        'NAME allows a name')
         # A browser sends the origin of the page that opens a socket.
         own_origins = f'http://{hosts[0]}', f'https://{hosts[0]}'
         if any(origin not in own_origins for origin in origins) or len(origins) < len(upgrades):
@@ -106,13 +109,6 @@ class Access:
         if not hmac.compare_digest(first.encode(errors='replace'), self.token.encode()):
             return 'open the address that sim_view has printed, with the token at its end'
         return ''
-
-    def _is_known(self, name: str) -> bool:
-        try:
-            ipaddress.ip_address(name.strip('[]'))
-        except ValueError:
-            return name in self.names
-        return True
 
 
 def _is_of_interest(record: logging.LogRecord) -> bool:
@@ -267,7 +263,6 @@ def open_server(host: str, port: int, access: Access) -> Any:
 
     :param host: name or address of the interface to listen on
     :param port: 0 takes one that is free
-    :param access: who may open the page
     :raises ManipSimError: if it cannot listen there
     """
     _check_free(host, port)
@@ -280,20 +275,12 @@ def open_server(host: str, port: int, access: Access) -> Any:
     if port and server.get_port() != port:
         close_server(server)
         raise ManipSimError(f'cannot listen on {host}:{port}: another process has just taken it')
-    _light(server.scene)
+    # A browser fades the scene in when it has loaded the environment map that viser has by
+    # default. With viser 1.1 it stops halfway for good if another map comes meanwhile, which
+    # happens where it draws slowly; without a map there is nothing to wait for.
+    server.scene.configure_environment_map(None)
+    server.scene.add_light_hemisphere('/sky', ground_color=_GROUND, intensity=_SKY, wxyz=_Y_TO_Z)
     return server
-
-
-def _light(scene: Any) -> None:
-    """
-    Light the scene from above and, less, from below, beside the lights that viser has.
-
-    A browser fades the scene in when it has loaded the environment map that viser has by default.
-    With viser 1.1 it stops halfway for good if another map comes meanwhile, which happens where
-    it draws slowly; without a map there is nothing to wait for.
-    """
-    scene.configure_environment_map(None)
-    scene.add_light_hemisphere('/sky', ground_color=_GROUND, intensity=_SKY, wxyz=_Y_TO_Z)
 
 
 class _Event(asyncio.Event):

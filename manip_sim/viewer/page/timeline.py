@@ -13,7 +13,7 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.viewer.page.interaction import Events
-from manip_sim.viewer.page.latest import JointStates, Latest, Line, PlainText, Robot, ShownPart
+from manip_sim.viewer.page.latest import Latest, Line, PlainText, Robot, ShownPart
 
 #: Simulation time that the plots look back [s].
 WINDOW_S = 10.0
@@ -29,6 +29,9 @@ _AXIS = {'size': 52, 'gap': 3, 'ticks': {'size': 4}}
 _TIME_AXIS = {'label': 'time [s]', 'labelSize': 16, 'labelFont': '12px sans-serif', 'size': 34}
 #: The scale of a plot reaches so far either way at least, in its unit.
 _SMALL = 0.05
+_SCALES = {'x': {'time': False, 'range': (-WINDOW_S, 0.0)},
+           'y': {'range': {'min': {'pad': 0.1, 'soft': -_SMALL, 'mode': 1},
+                           'max': {'pad': 0.1, 'soft': _SMALL, 'mode': 1}}}}
 _WRENCH = 'wrench'
 
 
@@ -78,12 +81,7 @@ def add_plot(gui: Any, title: str, labels: Sequence[str], data: tuple[FloatArray
 
 
 class PlotPanel:
-    """
-    Plots of one part, or of the wrench of one end effector, that a person chooses.
-
-    :param tab: the tab that the plots are on
-    :param robots: of the node
-    """
+    """Plots of one part, or of the wrench of one end effector, that a person chooses."""
 
     def __init__(self, gui: Any, tab: Any, robots: Sequence[Robot]) -> None:
         self._gui = gui
@@ -110,24 +108,25 @@ class PlotPanel:
             self._shown = self._choice.value
             self._history = History()
             self._rebuild(choice[1])
-        self._record(choice[0], choice[1], latest)
+        robot, source = choice
+        states = latest.joints.get(robot.space)
+        row = None
+        if states is not None and isinstance(source, ShownPart):
+            index = {name: i for i, name in enumerate(states.names)}
+            if all(joint.name in index for joint in source.joints):
+                rows = [index[joint.name] for joint in source.joints]
+                row = np.concatenate([states.position[rows], states.velocity[rows],
+                                      states.effort[rows]])
+        elif states is not None:
+            row = latest.wrenches.get((robot.space, str(source)))
+        if states is not None and row is not None:
+            self._history.add(states.time_s, row)
         if now_s >= self._next_s:
             self._next_s = now_s + _PERIOD_S
-            times, rows = self._history.columns()
+            times, values = self._history.columns()
             if len(times) > 1:
                 for plot, columns in self._plots:
-                    plot.data = (times, *np.ascontiguousarray(rows[:, columns].T))
-
-    def _record(self, robot: Robot, source: ShownPart | str, latest: Latest) -> None:
-        states = latest.joints.get(robot.space)
-        if states is None:
-            return
-        if isinstance(source, ShownPart):
-            row = _row(states, source)
-            if row is not None:
-                self._history.add(states.time_s, row)
-        elif (robot.space, source) in latest.wrenches:
-            self._history.add(states.time_s, latest.wrenches[robot.space, source])
+                    plot.data = (times, *np.ascontiguousarray(values[:, columns].T))
 
     def _rebuild(self, source: ShownPart | str) -> None:
         for plot, _ in self._plots:
@@ -144,26 +143,11 @@ class PlotPanel:
         count = len(labels)
         with self._tab:
             for number, (title, unit) in enumerate(plots):
-                self._plots.append((self._plot(f'{title} [{" or ".join(unit)}]', labels),
-                                    slice(number * count, (number + 1) * count)))
-
-    def _plot(self, title: str, labels: Sequence[str]) -> Any:
-        return add_plot(
-            self._gui, title, labels,
-            (np.array([-WINDOW_S, 0.0]), *([np.zeros(2)] * len(labels))), scales={
-                'x': {'time': False, 'range': (-WINDOW_S, 0.0)},
-                'y': {'range': {'min': {'pad': 0.1, 'soft': -_SMALL, 'mode': 1},
-                                'max': {'pad': 0.1, 'soft': _SMALL, 'mode': 1}}}},
-            padding=_PADDING, height=_HEIGHT)
-
-
-def _row(states: JointStates, part: ShownPart) -> FloatArray | None:
-    index = {name: i for i, name in enumerate(states.names)}
-    if any(joint.name not in index for joint in part.joints):
-        return None
-    rows = [index[joint.name] for joint in part.joints]
-    return np.concatenate([values[rows] for values in (
-        states.position, states.velocity, states.effort)])
+                plot = add_plot(
+                    self._gui, f'{title} [{" or ".join(unit)}]', labels,
+                    (np.array([-WINDOW_S, 0.0]), *([np.zeros(2)] * count)), scales=_SCALES,
+                    padding=_PADDING, height=_HEIGHT)
+                self._plots.append((plot, slice(number * count, (number + 1) * count)))
 
 
 _SPEEDS = {'1/4': 0.25, '1': 1.0, '4': 4.0}
@@ -175,9 +159,6 @@ class Timeline:
     """
     A slider over instants, and a box that plays them.
 
-    :param label: what the slider shows
-    :param step: of the values of the slider
-    :param show: shows the instant of an index
     :ivar index: of the instant that is shown; -1 before :meth:`begin`
     """
 
@@ -205,7 +186,6 @@ class Timeline:
 
         :param times: of the instants, ascending [s], shape (n,), n >= 1
         :param values: of the slider, ascending, length n
-        :param index: of the instant to show first
         """
         self._times, self._values = times, values
         self._slider.min = values[0]
