@@ -9,6 +9,7 @@ import argparse
 import contextlib
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 from manip_sim.errors import ModelError, UnknownNameError
@@ -25,6 +26,8 @@ from manip_sim.resources import PACKAGE, share_directory
 #: The options with the values of the parameters of the same name.
 _PARAMETERS = ('robot', 'gripper', 'base', 'arena', 'idn', 'prefix', 'position', 'orientation',
                'timestep', 'tactile', 'cameras')
+#: Files of noise in the package, ``config/noise_NAME.yaml``.
+_PROFILES = ('franka', 'ideal', 'ur')
 _BOOL = {'true': True, 'false': False}
 
 
@@ -95,6 +98,15 @@ def arena_parameters(name: str) -> dict[str, Any]:
     :raises UnknownNameError: if the arena is unknown
     """
     return {parameter.name: parameter.default for parameter in arenas.arena_parameters(name)}
+
+
+def noise_parameters(name: str) -> dict[str, Any]:
+    """Return the parameters of a profile of noise or of a file, UnknownNameError without both."""
+    if name in _PROFILES:
+        return read_parameters(share_directory() / 'config' / f'noise_{name}.yaml')
+    if not Path(name).is_file():
+        raise UnknownNameError('noise', name, _PROFILES)
+    return read_parameters(Path(name))
 
 
 def _as(default: bool | float, name: str, text: str) -> bool | float:

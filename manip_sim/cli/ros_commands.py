@@ -86,7 +86,7 @@ def run_verb(options: argparse.Namespace) -> int:
         'param dump': _dump, 'param load': _load, 'service list': _list_names,
         'service type': _type, 'service find': _list_names, 'service call': _call}
     try:
-        with _graph() as graph, _one_line_errors():
+        with _one_line_errors(), _graph() as graph:
             return verbs[f'{options.command} {options.action}'](graph, options) or 0
     except _Ended:
         return 0
@@ -315,7 +315,7 @@ def next_message(topic: str, type_name: str) -> Any:
     :raises ManipSimError: if the topic is unknown or has another type, or no message comes
     """
     try:
-        with _graph() as graph, _one_line_errors():
+        with _one_line_errors(), _graph() as graph:
             messages = _subscribed(graph, argparse.Namespace(name=topic))
             types = graph.topics().get(graph.node.resolve_topic_name(topic), [])
             if type_name not in types:

@@ -17,8 +17,10 @@ import signal
 import sys
 from typing import Any
 
+from manip_sim.cli.composing_options import noise_parameters
 from manip_sim.cli.output import table, terminal_width, UsageError, write_whole
-from manip_sim.errors import ManipSimError, ModelError, RecordError, UnknownNameError
+from manip_sim.control.law.compiling import Row
+from manip_sim.errors import ManipSimError, ModelError, RecordError
 from manip_sim.experiments import (
     Experiment, parse_seeds, parse_shard, RunFolder, wilson_interval, Worker)
 from manip_sim.experiments.comparison import (
@@ -27,18 +29,14 @@ from manip_sim.experiments.experiment import Row, success_over
 from manip_sim.experiments.policies import policy_content, ROS
 from manip_sim.experiments.processes import run_in_processes, run_on_ray
 from manip_sim.experiments.run_folder import read_run, RECORDS, Shard, StoredRun
-from manip_sim.interface.parameter_spec import read_parameters
 from manip_sim.models.faults import FaultPlan
 from manip_sim.models.randomization import Randomization
 from manip_sim.quoting import pluralize, quoted
 from manip_sim.records.video import write_side_by_side
-from manip_sim.resources import share_directory
 from manip_sim.startup import processors
 from manip_sim.tasks import AnswerTime, Latency, Setting
 from manip_sim.tasks.latency import MEASURED
 
-#: Files of noise in the package, ``config/noise_NAME.yaml``.
-_PROFILES = ('franka', 'ideal', 'ur')
 #: Of what a sweep varies: begin of the names of folders, and head of the column.
 _FOLDERS = {'command': 'latency', 'state': 'latency', 'answer': 'answer_time'}
 _HEADS = {'command': 'latency of a command', 'state': 'latency of a state',
@@ -128,10 +126,7 @@ def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, flo
                 raise ModelError(f'--noise {quoted(noise)}: {quoted(value)} is not a number'
                                  ) from error
             continue
-        profile = share_directory() / 'config' / f'noise_{noise}.yaml'
-        if noise not in _PROFILES and not Path(noise).is_file():
-            raise UnknownNameError('noise', noise, _PROFILES)
-        values |= read_parameters(profile if noise in _PROFILES else Path(noise))
+        values |= noise_parameters(noise)
     late = dict.fromkeys(('command', 'state', 'command_jitter', 'state_jitter'), 0.0)
     late |= {key: values.pop(f'latency.{key}') for key in late if f'latency.{key}' in values}
     if any(late.values()):
@@ -150,7 +145,8 @@ def _sweep_text(summaries: list[tuple[Any, dict[str, Any]]], title: str, head: s
         late = late_s if isinstance(late_s, str) else f'{late_s:g} s'
         rows.append((late, f'{summary["successes"]} of {summary["episodes"]}',
                      _span(summary['success_rate_95']),
-                     '-' if time_s is None else f'{time_s:.2f} s', str(sum(summary['errors'].values()))))
+                     '-' if time_s is None else f'{time_s:.2f} s',
+                     str(sum(summary['errors'].values()))))
     heads = head, 'success', '95 % interval', 'median time', 'failed'
     return (table(title, heads, rows, terminal_width()),
             int(any(summary['errors'] for _, summary in summaries)))

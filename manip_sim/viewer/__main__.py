@@ -117,11 +117,7 @@ def _fail(message: str, code: int = 1) -> int:
 
 
 def check_display() -> None:
-    """
-    Check that there is a screen.
-
-    :raises ManipSimError: if there is none
-    """
+    """Check that there is a screen; ManipSimError if there is none."""
     import os
 
     from manip_sim.errors import ManipSimError

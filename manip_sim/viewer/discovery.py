@@ -146,11 +146,7 @@ _ROUND_S = 0.05
 
 
 class Readers:
-    """
-    The subscriptions of the viewer.
-
-    :ivar log: of rejected messages, bounded
-    """
+    """The subscriptions of the viewer, and the bounded log of rejected messages."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -217,12 +213,7 @@ class RobotTopics:
 
 @dataclass(frozen=True)
 class Layout:
-    """
-    Robots, topics and services of a node.
-
-    :ivar robots: none as long as none is known
-    :ivar objects: names of free bodies
-    """
+    """Robots of a node, as far as they are known, and the names of its free bodies and cameras."""
 
     robots: tuple[RobotTopics, ...] = ()
     objects: tuple[str, ...] = ()
@@ -385,7 +376,6 @@ class Discovery:
         Return topics of the node, and of a killed one of its name that counts as present.
 
         :param last: their names after the last slash
-        :param list_ends: the publishers or the subscriptions of a topic
         """
         namespace, _, name = f'/{self._name}'.rpartition('/')
         topics = (topic for topic, _ in self._node.get_topic_names_and_types()

@@ -73,12 +73,7 @@ class Plotted:
 
 @dataclass(frozen=True)
 class RecordedPictures:
-    """
-    The compressed images of a camera.
-
-    :ivar times: ascending [s], shape (n,)
-    :ivar contents: n of them
-    """
+    """The compressed images of a camera by ascending times [s], shape (n,)."""
 
     times: FloatArray
     contents: list[bytes]
@@ -106,11 +101,7 @@ class Shown(ABC):
 
     @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:
-        """
-        Check that the instants fit a model.
-
-        :raises RecordError: if they do not
-        """
+        """Check that the instants fit a model; RecordError if they do not."""
 
     @abstractmethod
     def place(self, kinematics: Kinematics, instant: int) -> None:
@@ -122,11 +113,7 @@ class Shown(ABC):
 
 
 class ShownEpisode(Shown):
-    """
-    An episode.
-
-    :raises RecordError: if a topic cannot be read
-    """
+    """An episode; RecordError if a topic cannot be read."""
 
     def __init__(self, episode: RecordedEpisode) -> None:
         self._episode = episode
@@ -270,11 +257,7 @@ class Entry:
         return plain(f'{self.path.stem} #{self.number}, {origin}')
 
     def read(self) -> Shown:
-        """
-        Return its instants, plots and pictures.
-
-        :raises RecordError: if it cannot be read
-        """
+        """Return its instants, plots and pictures; RecordError if it cannot be read."""
         for entry, content in _contents(self.path):
             if (entry.number, entry.node) == (self.number, self.node):
                 return _shown(content)
@@ -459,7 +442,6 @@ class Player:
         self._new_s: float | None = None
         self._instant, self._index = 0, -1
         set_theme(server, dark)
-        server.gui.set_panel_label('manip_sim')
         self._build()
         self._open(0)
 

@@ -44,7 +44,6 @@ class TaskPage:
         self.server: Any = open_server(listen, port, access)
         self.address = page_address(self.server, listen, access)
         set_theme(self.server, dark=False)
-        self.server.gui.set_panel_label('manip_sim')
         self._text = PlainText(self.server.gui)
         self._scene = Scene(self.server, self._posture.model, self._posture.data)
         self._aiming = Aiming(self.server)

@@ -39,10 +39,9 @@ class PageCommands(Protocol):
 
     def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
         """
-        Command joints.
+        Command joints of a part.
 
         :param space: namespace of the robot's topics, such as ``/left/``
-        :param field: of the commands, such as ``position``
         :param goals: by joint [rad or m, rad/s or m/s, N m or N]
         """
 
@@ -413,11 +412,7 @@ _SAME = 1e-4
 
 
 class EndEffectorTarget:
-    """
-    The target of one end effector.
-
-    :param space: namespace of the robot's topics, such as ``/left/``
-    """
+    """The target of one end effector."""
 
     def __init__(self, scene: Any, space: str, arm: str, commands: PageCommands) -> None:
         self._space, self._arm, self._commands = space, arm, commands
@@ -546,11 +541,7 @@ class Pulling:
             self._commands.pull(drag.body, drag.number, drag.begin, drag.target)
 
     def arrow(self, posture: Kinematics) -> FloatArray:
-        """
-        Return the spring as an arrow, in ``world`` [m].
-
-        :returns: shape (1, 2, 3); (0, 2, 3) if nothing is dragged
-        """
+        """Return the spring as an arrow in ``world`` [m], (1, 2, 3), or none, (0, 2, 3)."""
         drag = self._drag
         body = -1 if drag is None else mujoco.mj_name2id(
             posture.model, mujoco.mjtObj.mjOBJ_BODY, drag.body)

@@ -56,11 +56,7 @@ def plain(text: str) -> str:
 
 @dataclass(frozen=True)
 class Line:
-    """
-    A line of text on the page.
-
-    :ivar color: of a dot before both, such as ``#2f9e44``; empty for none
-    """
+    """A line of text on the page, with a bold title and a coloured dot before it, if any."""
 
     text: str
     title: str = ''
@@ -130,12 +126,7 @@ class ShownJoint:
 
 @dataclass(frozen=True)
 class ShownPart:
-    """
-    A subsystem, an arm or a gripper.
-
-    :ivar name: ``arm``, ``right``, ``right/gripper`` ...
-    :ivar joints: those that can be commanded
-    """
+    """A subsystem, an arm or a gripper such as ``right/gripper``, and its commanded joints."""
 
     name: str
     joints: tuple[ShownJoint, ...]
@@ -370,12 +361,7 @@ class JointStates:
 
 @dataclass(frozen=True)
 class PoseInWorld:
-    """
-    Pose of a frame in ``world``.
-
-    :ivar position: [m], shape (3,)
-    :ivar quat_wxyz: shape (4,)
-    """
+    """Pose of a frame in ``world``: a position [m], shape (3,), and a quaternion, shape (4,)."""
 
     position: FloatArray
     quat_wxyz: FloatArray

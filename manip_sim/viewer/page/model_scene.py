@@ -53,12 +53,7 @@ class Kinematics:
 
     def set_joints(self, names: Sequence[str], positions: Sequence[float] | FloatArray
                    ) -> None:
-        """
-        Set the positions of scalar joints.
-
-        :param names: those that the model does not have are ignored
-        :param positions: [rad or m]
-        """
+        """Set the positions of scalar joints [rad or m]; unknown names are ignored."""
         for name, position in zip(names, positions):
             if name in self._scalar:
                 self.data.qpos[self._scalar[name]] = position

@@ -32,11 +32,7 @@ _COLORS = {'running': '#2f9e44', 'paused': '#f08c00', 'waiting': '#868e96', 'gon
 
 
 class SimulationPanel:
-    """
-    A line of state and the buttons of the whole simulation.
-
-    :param commands: receives what people command; None for a panel without buttons
-    """
+    """A line of state and, if people can command, the buttons of the whole simulation."""
 
     def __init__(self, gui: Any, commands: PageCommands | None, events: Events) -> None:
         self._paused = False
@@ -70,9 +66,8 @@ _PICTURE, _RECORD, _STOP = 'Picture', 'Record', 'Stop recording'
 
 class SavePanel:
     """
-    Buttons that save a picture of the scene and a record of the node.
+    Buttons that save a picture of the scene and, if people can command, a record of the node.
 
-    :param commands: receives what people command; None for a panel without that button
     :param picture: lets a browser, by its number, save what it shows
     """
 
@@ -408,7 +403,6 @@ class Page:
         self._modes: dict[str, str] = {}
         self._sliders_s = 0.0
         set_theme(server, dark)
-        server.gui.set_panel_label('manip_sim')
         self._build((), ())
 
     @property
@@ -508,11 +502,7 @@ class Page:
         self._fields, self._modes = command_fields(statuses), control_modes(statuses)
 
     def update(self, now_s: float, latest: Latest, paused: bool) -> None:
-        """
-        Send what people have requested, and show the newest states.
-
-        :param now_s: wall time [s]
-        """
+        """Send what people have requested, and show the newest states; wall time [s]."""
         if self._poses is not None:
             self._poses.update(latest, self._fields)
         self.events.run()

@@ -275,6 +275,7 @@ def open_server(host: str, port: int, access: Access) -> Any:
     if port and server.get_port() != port:
         close_server(server)
         raise ManipSimError(f'cannot listen on {host}:{port}: another process has just taken it')
+    server.gui.set_panel_label('manip_sim')
     # A browser fades the scene in when it has loaded the environment map that viser has by
     # default. With viser 1.1 it stops halfway for good if another map comes meanwhile, which
     # happens where it draws slowly; without a map there is nothing to wait for.

@@ -262,13 +262,7 @@ class LookBack:
         self.end()
 
     def update(self, now_s: float, time_s: float, positions: FloatArray) -> None:
-        """
-        Keep the present instant, and play.
-
-        :param now_s: wall time [s]
-        :param time_s: simulation time [s]
-        :param positions: ``qpos`` of the model, shape (nq,)
-        """
+        """Keep the ``qpos`` of a simulation time [s], shape (nq,), and play; wall time [s]."""
         self._kept.add(time_s, positions)
         if self._rows is not None:
             self._timeline.update(now_s)
