@@ -39,7 +39,6 @@ class Columns:
     Something that was observed.
 
     :ivar values: at the start and after each control period, in SI units, shape (periods + 1, n)
-    :ivar names: of the numbers, n of them
     """
 
     values: NDArray[Any]
@@ -70,7 +69,6 @@ class Frames:
     """
     The control periods of an episode.
 
-    :param recorded: the episode
     :raises RecordError: if it has no actions, or a topic does not have a message of each period
     :ivar recorded: the episode
     :ivar actions: shape (periods, n)
@@ -167,7 +165,6 @@ class Frames:
         """
         Yield the images of a camera, at the start and after each period but the last.
 
-        :param camera: its name
         :returns: arrays of one shape (height, width, 3), rgb
         :raises RecordError: if one is missing or cannot be read, or they differ in size
         """
@@ -203,7 +200,6 @@ def write_hdf5(episodes: Iterable[Frames], path: Path) -> int:
     ``truth`` has the exact values beside ``obs``. ``states`` are qpos, qvel and mocap poses. All
     numbers are float64.
 
-    :param episodes: in order
     :param path: of the file, which must not be there
     :returns: the number of control periods
     :raises RecordError: without an episode, or if one cannot be written
@@ -295,7 +291,6 @@ def convert(paths: Iterable[Path], name: str, target: Path,
     """
     Convert the complete episodes of records to one data set.
 
-    :param paths: of the records, in order
     :param name: one of :data:`FORMATS`
     :param target: of the data set; it must not be there
     :param progress: is called with the number of episodes that are done
@@ -351,7 +346,6 @@ def records_in(paths: Iterable[Path]) -> list[Path]:
     """
     Return files, and in place of folders the records in them by name.
 
-    :param paths: of files and folders
     :raises RecordError: if a folder has no records
     """
     records: list[Path] = []

@@ -250,7 +250,6 @@ class Recorded:
 
     :ivar about: metadata that its recorder wrote at its begin
     :ivar model: the model archive, as ``load_archive`` takes it
-    :ivar types: of the topics
     :ivar messages: time [ns] and serialized content, by topic, in the order of the file
     """
 
@@ -273,7 +272,6 @@ class Recorded:
         """
         Return the messages of a topic; there are none if nothing was recorded.
 
-        :param topic: its name
         :param type_name: that it must have, such as ``std_msgs/Bool``
         :raises RecordError: if it has another type, or a message cannot be read
         """

@@ -235,7 +235,6 @@ class RecordFile:
         Add a topic, once.
 
         :param type_name: such as ``std_msgs/msg/Bool``
-        :param definition: of the type and those in it, as ``ros2msg``
         :param metadata: of the topic, such as its quality of service
         :returns: its number for :meth:`write`
         """
@@ -651,7 +650,6 @@ def physics_state(simulation: Simulation) -> FloatArray:
     """
     Return positions, velocities and mocap poses of the present instant, a copy.
 
-    :param simulation: any
     :returns: :data:`STATE_PARTS`, as ``mj_getState`` orders them, shape (n,)
     """
     model = simulation.model

@@ -35,9 +35,7 @@ class Repetition:
     """
     Result of repeating an episode.
 
-    :ivar recorded: the episode
     :ivar periods: control periods that were repeated
-    :ivar success: whether it ended with success
     :ivar difference: where it first differs from the record, and why that may be; None if it
         does not
     :ivar difference_period: the control period in which it first differs, 0 for the start; None
@@ -62,7 +60,6 @@ class Replay:
         """
         Repeat an episode up to its end, or to where its record ends.
 
-        :param recorded: the episode
         :raises RecordError: if it cannot be repeated here
         """
         actions, states, taken = recorded.actions, recorded.states, recorded.taken
@@ -151,7 +148,6 @@ class JournalReplay:
     """
     Repeats the record of a node.
 
-    :param record: of a node
     :ivar problems: what differs or cannot be repeated, a line for each
     :ivar periods: how many control periods were repeated, up to a difference
     :ivar changes: how many commands and operations were

@@ -33,11 +33,8 @@ class VideoFile:
 
     :param path: of the file; its folder is created
     :param number: of the file, from 0
-    :param fps: images in a second
     :param shape: of the images, (height, width, 3), both even
     :raises RecordError: if one of them is odd
-    :ivar number: as above
-    :ivar frames: number of images so far
     :ivar info: what a data set of LeRobot says of the file
     """
 
@@ -86,12 +83,7 @@ _TITLE_LENGTH = 50
 
 
 class _Shown:
-    """
-    An episode whose instants are drawn.
-
-    :param episode: with states
-    :param camera: of its model
-    """
+    """An episode whose instants are drawn."""
 
     def __init__(self, episode: RecordedEpisode, camera: str) -> None:
         self.states = episode.states
@@ -131,8 +123,6 @@ def write_side_by_side(file: Path, episodes: Sequence[RecordedEpisode], titles: 
 
     :param file: of the video, such as ``7.mp4``; replaced if it is there
     :param episodes: of one length of a control period
-    :param titles: above each
-    :param camera: of their models
     :raises RecordError: if an episode has no states, or the package for videos is missing
     :raises UnknownNameError: if the camera is unknown, naming the available ones
     :raises ManipSimError: if nothing can be rendered

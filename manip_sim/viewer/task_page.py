@@ -90,9 +90,6 @@ class PageDevice(Device):
         self._page = TaskPage(episode, listen, port)
         self.help = f'drag the end effector on {self._page.address}'
         self._events, self._event, self._acted = Events(), '', False
-        self._build()
-
-    def _build(self) -> None:
         gui = self._page.server.gui
         several = len(self._actions.arms) > 1
         self._targets, self._grippers = [], []
@@ -100,30 +97,24 @@ class PageDevice(Device):
             name = f'{item.robot.name}/{item.arm}'
             target = self._page.server.scene.add_transform_controls(
                 f'/targets/{name}', scale=_SCALE, depth_test=False, opacity=0.85)
-            target.on_update(self._dragged)
+            target.on_update(lambda event: self._act(event.phase == 'start'))
             self._targets.append(target)
             box = gui.add_checkbox(f'Close {item.arm} gripper' if several else 'Close gripper',
                                    False)
-            box.on_update(self._ticked)
+            # Without a browser, this program changed it.
+            box.on_update(lambda event: self._act(event.client_id is not None))
             self._grippers.append(box)
         self._buttons = gui.add_button_group('Demonstration',
                                              [name.capitalize() for name in EVENTS])
         self._buttons.on_click(lambda event: self._events.add(
-            lambda: self._end(event.target.value.lower())))
+            lambda: self._begin(event.target.value.lower())))
 
-    def _dragged(self, event: Any) -> None:
-        if event.phase == 'start':
+    def _act(self, by_a_person: bool) -> None:
+        if by_a_person:
             self._events.add(self._begin)
 
-    def _ticked(self, event: Any) -> None:
-        if event.client_id is not None:
-            self._events.add(self._begin)
-
-    def _begin(self) -> None:
-        self._acted = True
-
-    def _end(self, event: str) -> None:
-        self._acted, self._event = True, event
+    def _begin(self, event: str = '') -> None:
+        self._acted, self._event = True, event or self._event
 
     def read(self) -> Reading:
         """Return the actions towards the targets; before the first one, wait for the person."""
