@@ -515,7 +515,12 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
                                       allow_abbrev=False), verb_arguments)
     if not (words and words[0] in commands.choices):
         _add_verbs(commands, words)
-        _check_first(words, parser)
+        first = words[0] if words else ''
+        if first in _PROGRAMS:
+            parser.error(f"{first} is a program of its own: type '{first}' without 'manip_sim'")
+        if first.startswith('-') and first not in ('-h', '--help', '--version'):
+            parser.error(f"a COMMAND comes before '{first}', as in: manip_sim describe --robot "
+                         'Panda')
     options, left = parser.parse_known_args(words)
     if options.command == 'convert' and len(left) == 1 and not left[0].startswith('-'):
         # Of several files before --to, argparse takes the last one for OUT, which comes after it.
@@ -543,15 +548,6 @@ def _add_verbs(commands: Any, words: Sequence[str]) -> None:
             if words[:1] == [name]:
                 raise ModelError(f'command {error}') from error
             logging.getLogger('manip_sim').warning('command %s', error)
-
-
-def _check_first(words: Sequence[str], parser: _Parser) -> None:
-    """End the process if the first word is another program, or an option of a command."""
-    first = words[0] if words else ''
-    if first in _PROGRAMS:
-        parser.error(f"{first} is a program of its own: type '{first}' without 'manip_sim'")
-    if first.startswith('-') and first not in ('-h', '--help', '--version'):
-        parser.error(f"a COMMAND comes before '{first}', as in: manip_sim describe --robot Panda")
 
 
 def _conflict(options: argparse.Namespace) -> str | None:

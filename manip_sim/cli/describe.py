@@ -103,7 +103,9 @@ def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) ->
             'position_m': data.xpos[body].tolist(),
             'quat_xyzw': wxyz_to_xyzw(data.xquat[body]).tolist()})
     for name in dict.fromkeys(
-            site for part in (robot, *robot.models) for site in _important(part)):
+            site for part in (robot, *robot.models) for site in (
+                part.correct_naming('ft_frame'), *part.important_sites.values())
+            if site in part.sites):
         site, quat = int(model.site(name).id), np.empty(4)
         mujoco.mju_mat2Quat(quat, data.site_xmat[site])
         rows.append({
@@ -112,12 +114,6 @@ def frame_rows(model: mujoco.MjModel, data: mujoco.MjData, robot: RobotModel) ->
             'position_m': data.site_xpos[site].tolist(),
             'quat_xyzw': wxyz_to_xyzw(quat).tolist()})
     return rows
-
-
-def _important(part: Any) -> list[str]:
-    """Return the sites of a part that have a role, with the ``ft_frame`` of its sensors."""
-    frame = part.correct_naming('ft_frame')
-    return [*([frame] if frame in part.sites else ()), *part.important_sites.values()]
 
 
 def camera_rows(model: mujoco.MjModel) -> list[Row]:

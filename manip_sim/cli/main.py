@@ -50,8 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     :returns: the exit code
     """
-    words = sys.argv[1:] if arguments is None else arguments
-    _choose_renderer(words[0] if words else '')
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    # MuJoCo reads this variable when it is imported.
+    if words[:1] not in (['render'], ['run'], ['compare']) and 'mujoco' not in sys.modules:
+        os.environ['MUJOCO_GL'] = 'disable'
     try:
         options = parse(arguments)
         module, _, function = options.module.partition(':')
@@ -65,12 +67,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _fail(f'{error.filename or words[0]}: {error.strerror or error}')
     return _report(text) or int(code)
-
-
-def _choose_renderer(command: str) -> None:
-    # MuJoCo reads this variable when it is imported.
-    if command not in ('render', 'run', 'compare') and 'mujoco' not in sys.modules:
-        os.environ['MUJOCO_GL'] = 'disable'
 
 
 def _report(text: str = '') -> int:

@@ -63,10 +63,17 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
     options.timing = {key: value for key, value in (
         ('jitter', options.answer_time_jitter), ('chunk_hz', options.chunk_hz),
         ('ask_ahead', options.ask_ahead)) if value is not None}
+    answer_times: list[float | str] = []
+    for text in (options.answer_time or '0').split(','):
+        try:
+            answer_times.append(text if text == MEASURED else float(text))
+        except ValueError as error:
+            raise ModelError(f"--answer-time must be seconds or '{MEASURED}', got "
+                             f'{quoted(text)}') from error
     sweeps: dict[str, list[Any]] = {
         'command': options.latency or [options.late['command']],
         'state': options.state_latency or [options.late['state']],
-        'answer': _answer_times(options.answer_time)}
+        'answer': answer_times}
     cases = [dict(zip(sweeps, values)) for values in itertools.product(*sweeps.values())]
     several = [kind for kind, values in sweeps.items() if len(values) > 1]
     if len(several) > 1:
@@ -96,22 +103,6 @@ def _run(options: argparse.Namespace) -> tuple[str, int]:
         write_whole(options.out / PLOT, lambda part: part.write_text(
             success_over(title, head, numbers)))
     return _sweep_text(summaries, title, head)
-
-
-def _answer_times(times: str | None) -> list[float | str]:
-    """
-    Return the values of --answer-time.
-
-    :raises ModelError: if one is neither a number nor ``measured``
-    """
-    answer_times: list[float | str] = []
-    for text in (times or '0').split(','):
-        try:
-            answer_times.append(text if text == MEASURED else float(text))
-        except ValueError as error:
-            raise ModelError(f"--answer-time must be seconds or '{MEASURED}', got "
-                             f'{quoted(text)}') from error
-    return answer_times
 
 
 def _noise(options: argparse.Namespace) -> tuple[dict[str, float], dict[str, float]]:

@@ -204,7 +204,16 @@ def write_srdf(name: str, groups: Iterable[Group], postures: Iterable[GroupState
     """
     robot, groups = ElementTree.Element('robot', name=name), list(groups)
     for group in groups:
-        _add_group(robot, group)
+        element = ElementTree.SubElement(robot, 'group', name=group.name)
+        for name in group.subgroups:
+            ElementTree.SubElement(element, 'group', name=name)
+        if group.tip:
+            ElementTree.SubElement(element, 'chain', base_link=group.base, tip_link=group.tip)
+        elif not group.subgroups:
+            for link in group.links:
+                ElementTree.SubElement(element, 'link', name=link)
+            for joint in group.joints:
+                ElementTree.SubElement(element, 'joint', name=joint)
     for posture in postures:
         for group in groups:
             if posture.part == group.part or (posture.name == START and group.active):
@@ -225,20 +234,6 @@ def write_srdf(name: str, groups: Iterable[Group], postures: Iterable[GroupState
             'link1': pair[0], 'link2': pair[1], 'reason': reason})
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
-
-
-def _add_group(robot: ElementTree.Element, group: Group) -> None:
-    element = ElementTree.SubElement(robot, 'group', name=group.name)
-    if group.subgroups:
-        for name in group.subgroups:
-            ElementTree.SubElement(element, 'group', name=name)
-    elif group.tip:
-        ElementTree.SubElement(element, 'chain', base_link=group.base, tip_link=group.tip)
-    else:
-        for link in group.links:
-            ElementTree.SubElement(element, 'link', name=link)
-        for joint in group.joints:
-            ElementTree.SubElement(element, 'joint', name=joint)
 
 
 #: Of random configurations; the seed is fixed, so that the same robot has the same file.
@@ -353,7 +348,14 @@ class _Sampler:
         always = np.ones(self._model.nbody ** 2, dtype=bool)
         near = np.zeros_like(always)
         for _ in range(_SAMPLES):
-            self._place_at_random(random)
+            positions = random.uniform(self._low, self._high)
+            self._data.qpos[self._qpos] = positions
+            for group in self._groups:
+                # One joint of those that are coupled says where the others are.
+                leader = group[random.integers(len(group))]
+                follow = self._couplings.follow({leader: float(positions[self._index[leader]])})
+                self._data.qpos[[self._qpos[self._index[joint]] for joint in follow]] = [
+                    *follow.values()]
             numbers, distances = self._contacts()
             near[numbers] = True
             inside = np.zeros_like(always)
@@ -361,16 +363,6 @@ class _Sampler:
             always &= inside
         return (self._of_numbers(np.flatnonzero(always)),
                 self.names(combinations(self.bodies, 2)) - self._of_numbers(np.flatnonzero(near)))
-
-    def _place_at_random(self, random: Any) -> None:
-        positions = random.uniform(self._low, self._high)
-        self._data.qpos[self._qpos] = positions
-        for group in self._groups:
-            # One joint of those that are coupled says where the others are.
-            leader = group[random.integers(len(group))]
-            follow = self._couplings.follow({leader: float(positions[self._index[leader]])})
-            self._data.qpos[[self._qpos[self._index[joint]] for joint in follow]] = [
-                *follow.values()]
 
     def _contacts(self) -> tuple[Any, Any]:
         """Return pairs of bodies that are near, each as one number, and distances [m]."""

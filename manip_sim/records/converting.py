@@ -253,7 +253,8 @@ def _environment(frames: Frames) -> dict[str, Any]:
     if frames.cameras:
         height, width, _ = next(frames.images(next(iter(frames.cameras)))).shape
         keywords.update(cameras=list(frames.cameras), image_size=[width, height])
-    return {'env_name': f'manip_sim/{_camel(about["task"])}-v0', 'type': _GYM,
+    task = ''.join(word.capitalize() for word in about['task'].split('_'))
+    return {'env_name': f'manip_sim/{task}-v0', 'type': _GYM,
             'env_version': about['manip_sim'], 'env_kwargs': keywords}
 
 
@@ -279,10 +280,6 @@ def _observations(frames: Quantities, fingers: set[str]) -> dict[str, NDArray[An
     if frames.goal is not None:
         observations['goal'] = frames.goal.values
     return observations
-
-
-def _camel(name: str) -> str:
-    return ''.join(word.capitalize() for word in name.split('_'))
 
 
 def convert(paths: Iterable[Path], name: str, target: Path,
