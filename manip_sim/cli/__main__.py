@@ -11,11 +11,7 @@ from manip_sim.startup import open_standard_streams, spare_garbage
 
 
 def run() -> int:
-    """
-    Run the command as a process of its own.
-
-    :returns: the exit code, see :func:`manip_sim.cli.main.run`
-    """
+    """Run the command as a process of its own; return the code of ``manip_sim.cli.main.run``."""
     # Ctrl-C ends it as it ends other commands, also during the imports.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     open_standard_streams()

@@ -107,13 +107,7 @@ _TOLERANCE = 0.01
 
 def differences(world: World, topic: str, names: Sequence[str], positions: Sequence[float]
                 ) -> tuple[list[StartDefect], list[str]]:
-    """
-    Compare joint states with the joints of the robots of a world.
-
-    :param topic: on which they came, for the messages
-    :param positions: [rad or m]
-    :returns: their defects, and remarks
-    """
+    """Return defects and remarks of joint states [rad or m] for the robots of a world."""
     model, ranges = world.compile(), {}  # By name in the order of their states.
     for name in (name for robot in world.robots for part in (robot, *robot.models)
                  for name in part.joints):
@@ -165,11 +159,7 @@ def _within(value: float, limits: tuple[float, float]) -> bool:
 
 
 def states_on(topic: str) -> tuple[list[str], list[float]]:
-    """
-    Return names and positions of the next message on a topic.
-
-    :raises ManipSimError: if ROS is not there, the topic has another type or no message comes
-    """
+    """Return names and positions of the next message on a topic; raises as ``next_message``."""
     try:
         from manip_sim.cli.ros_commands import next_message
     except ImportError as error:

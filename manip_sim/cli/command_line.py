@@ -619,11 +619,7 @@ def add_composition(parser: argparse.ArgumentParser) -> None:
 
 
 def run_ros_verb(options: argparse.Namespace) -> tuple[str, int]:
-    """
-    Run a verb, which prints by itself.
-
-    :raises ManipSimError: without ROS, or as the verb
-    """
+    """Run a verb, which prints by itself; ManipSimError without ROS, or as the verb."""
     check_ros_environment()
     try:
         from manip_sim.cli.ros_commands import run_verb

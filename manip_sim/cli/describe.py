@@ -42,11 +42,7 @@ Row = dict[str, Any]
 
 
 def actuator_rows(model: mujoco.MjModel, part_of: Mapping[str, str]) -> list[Row]:
-    """
-    Return the actuators as the files define them.
-
-    :param part_of: the part of each actuator that is wanted
-    """
+    """Return some actuators as the files define them, by the part of each."""
     rows = []
     for name, part in part_of.items():
         index = int(model.actuator(name).id)

@@ -17,8 +17,7 @@ from manip_sim.cli.composing_options import compose_from
 from manip_sim.cli.output import (
     check_folder, number, ProgressBar, table, terminal_width, write_whole)
 from manip_sim.errors import ModelError, UnknownNameError
-from manip_sim.identification.least_squares import (
-    identify, Identification, RigidModel, Value)
+from manip_sim.identification.least_squares import identify, Identification, RigidModel
 from manip_sim.identification.recorded_motion import (
     find_excitation, read_motion, record_excitation, RecordedMotion)
 from manip_sim.models.robots import ManipulatorModel
@@ -87,16 +86,13 @@ def _names(options: argparse.Namespace, joints: tuple[str, ...]) -> dict[str, st
     return dict(zip(joints, names))
 
 
-def _kept(value: Value) -> float:
-    """Return what a model takes: that of the model where nothing is told, and nothing negative."""
-    return float(f'{value.before if value.value is None else max(value.value, 0.0):.6g}')
-
-
 def _write(file: Path, options: argparse.Namespace, identification: Identification,
            composition: Mapping[str, Any]) -> None:
     """Write the composition with the identified values, as a parameter file."""
     import yaml
-    values = {key: [_kept(joint.values[kind]) for joint in identification.joints]
+    # The value of the model where nothing is told, and nothing negative.
+    values = {key: [float(f'{value.before if value.value is None else max(value.value, 0.0):.6g}')
+                    for value in (joint.values[kind] for joint in identification.joints)]
               for key, kind in (*_WRITTEN.items(), ('armature', 'armature'))}
     armature = values.pop('armature')
     parameters: dict[str, Any] = {

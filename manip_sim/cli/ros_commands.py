@@ -191,11 +191,7 @@ class _Graph:
         return full
 
     def wait_for(self, messages: Collection[Any], topic: str, limit_s: float = math.inf) -> None:
-        """
-        Wait for messages, and say on standard error if the messages of known nodes do not come.
-
-        :raises ManipSimError: if there are none within a limit [s]
-        """
+        """Wait for messages; say on standard error if those of known nodes do not come."""
         if self.spin_until(lambda: messages, min(limit_s, _ANSWER_S)):
             return
         unheard = describe_unheard(self.node)
@@ -212,11 +208,7 @@ class _Graph:
         return future.result()
 
     def late_answer(self, client: Any, future: Any, name: str) -> Any:
-        """
-        Return the answer of a service, which may come at the end of a motion.
-
-        :raises ManipSimError: if the service goes before it
-        """
+        """Return the answer of a service, which may come at the end of a motion if it stays."""
         if not self.spin_until(future.done, _ANSWER_S):
             unheard = describe_unheard(self.node)
             if unheard:
@@ -359,11 +351,7 @@ def _delay(graph: _Graph, options: argparse.Namespace) -> None:
 
 def _windows(graph: _Graph, options: argparse.Namespace, measure: Callable[[Any, float], Any],
              most: int, raw: bool = True) -> Iterator[deque[Any]]:
-    """
-    Yield measurements of the newest messages once a second, as soon as there are two.
-
-    :param measure: takes a message and when it came [s]
-    """
+    """Yield measurements of the newest messages, with their times [s], once a second."""
     messages = _subscribed(graph, options, raw)
     window: deque[Any] = deque(maxlen=most)
     said_s = time.monotonic()

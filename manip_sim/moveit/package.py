@@ -567,8 +567,12 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
             continue
         title = name.replace('/', '_')
         joints = [joint for joint in part.joints if joint in driven]
-        if joints and part.gripper is not None:
-            yield _gripper(f'{title}_controller', joints)
+        if part.gripper is not None and len(joints) == 1:
+            # A grasped object keeps the fingers from their goal.
+            yield f'{title}_controller', GRIPPER, '', {
+                'joint': joints[0], 'allow_stalling': True}
+        elif part.gripper is not None and joints:
+            yield f'{title}_controller', TRAJECTORY, '', _trajectory(joints, 'position', {})
         elif joints:
             # The plugin from apt has the interfaces of one mode, which are all used at once.
             for mode in _MODES if own_plugin else [hardware.interfaces[joints[0]]]:
@@ -580,13 +584,6 @@ def _controllers(robot: SimulatedRobot, hardware: Hardware, driven: Collection[s
             'sensor_name': sensor, 'frame_id': robot.end_effectors[arm].wrench_frame}
     for sensor in hardware.imu_topics if own_plugin else ():
         yield f'{sensor}_broadcaster', IMU, '', {'sensor_name': sensor, 'frame_id': frames[sensor]}
-
-
-def _gripper(name: str, joints: list[str]) -> _Controller:
-    if len(joints) == 1:
-        # A grasped object keeps the fingers from their goal.
-        return name, GRIPPER, '', {'joint': joints[0], 'allow_stalling': True}
-    return name, TRAJECTORY, '', _trajectory(joints, 'position', {})
 
 
 def _trajectory(joints: list[str], mode: str, inertias: Mapping[str, float]) -> Settings:

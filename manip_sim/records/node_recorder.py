@@ -50,7 +50,7 @@ def record_node(path: Path, name: str, topics: Sequence[str], duration_s: float 
     :param name: full name of the node, such as ``/manip_sim``
     :param topics: that are recorded, ``~`` and relative names as in the node; none for all topics
         that it publishes or subscribes to, but for topics of actions
-    :param duration_s: how long [s]; None for no limit
+    :param duration_s: None for no limit [s]
     :param show: is called with the number of messages and more text from time to time
     :returns: a summary, and whether anything was recorded
     :raises RecordError: if the file is there or cannot be written, or the node or a topic is

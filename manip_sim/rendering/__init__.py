@@ -206,11 +206,7 @@ class OffscreenRenderer:
             raise
 
     def replace_model(self, model: mujoco.MjModel) -> None:
-        """
-        Render another model from now on.
-
-        :param model: the ``mujoco.MjModel``; the settings of its offscreen buffer are changed
-        """
+        """Render another ``mujoco.MjModel``; the settings of its offscreen buffer are changed."""
         self._gl.make_current()
         self._context.free()
         self._use(model)

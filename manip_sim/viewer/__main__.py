@@ -27,11 +27,7 @@ _SCREENS = ('DISPLAY', 'WAYLAND_DISPLAY')
 
 
 def main() -> int:
-    """
-    Show a node in the browser.
-
-    :returns: the exit code: 0 after SIGINT, SIGTERM or SIGHUP, 1 if it cannot start
-    """
+    """Show a node in the browser; return 0 after SIGINT, SIGTERM or SIGHUP, 1 without a start."""
     return run_program(_run)
 
 

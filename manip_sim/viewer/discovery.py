@@ -464,10 +464,8 @@ _MAX_IMAGE_BYTES = 2**26
 
 class States:
     """
-    Subscriptions to all states of a node.
+    Subscriptions to all states of a node, as for :class:`Discovery`.
 
-    :param simulation: full name of the node that is seen, without the first slash
-    :param base: its namespace, with a slash at its end
     :ivar frames: the frame of the poses of end effectors, by namespace and arm
     """
 

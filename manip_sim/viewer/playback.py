@@ -237,9 +237,8 @@ class ShownWorld(Shown):
 @dataclass(frozen=True)
 class Entry:
     """
-    An episode, or a world of a node, among others.
+    An episode, or a world of a node, and its number in the record.
 
-    :ivar number: of it in the record
     :ivar success: whether it did the task; None if the record ends before it does
     :ivar node: the full name of the node; empty for an episode
     """
@@ -267,9 +266,8 @@ class Entry:
 def entries_in(paths: Iterable[Path], report: Callable[[str], object] = lambda _: None
                ) -> list[Entry]:
     """
-    Return what can be shown of records.
+    Return what can be shown of records; report why a file is left out.
 
-    :param report: is called with why a file is left out, if others can be shown
     :raises RecordError: if no file can be read, or nothing is in them
     """
     entries: list[Entry] = []
@@ -392,10 +390,8 @@ def _images(recorded: Recorded) -> dict[str, list[Any]]:
 
 def show_records(options: argparse.Namespace) -> int:
     """
-    Serve the page until SIGINT, SIGTERM or SIGHUP.
+    Serve the page until SIGINT, SIGTERM or SIGHUP, and return the exit code, 0.
 
-    :param options: of the command line, with the files or folders in ``record``
-    :returns: the exit code, 0
     :raises ManipSimError: if a record cannot be read, or it cannot listen
     """
     ended = EndSignals()
@@ -415,11 +411,7 @@ def show_records(options: argparse.Namespace) -> int:
 
 
 class Player:
-    """
-    A page that shows one episode, or world of a node, at one of its instants.
-
-    :param entries: what can be shown, at least one
-    """
+    """A page that shows one of some episodes or worlds of nodes at one of its instants."""
 
     def __init__(self, server: Any, entries: list[Entry], dark: bool = False) -> None:
         self._server, self._entries = server, entries

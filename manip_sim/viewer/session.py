@@ -232,11 +232,7 @@ _WINDOW_CLOSING_S = 5.0
 
 def show_native(node: Node, readers: Readers, simulation: str, run_ready: Callable[[], None],
                 ended: EndSignals) -> None:
-    """
-    Show a node until the window is closed or the process is to end.
-
-    :param simulation: full name of the node that is seen, without the first slash
-    """
+    """Show a node, by its full name without the first slash, until the window or process ends."""
     discovery = Discovery(node, readers, simulation)
     states = States(node, readers, simulation, discovery.base)
     print(f'sim_view: waiting for the node /{simulation}', flush=True)
@@ -286,12 +282,7 @@ def _open_window(posture: Kinematics) -> Iterator[mujoco.viewer.Handle]:
 
 def aim(camera: mujoco.MjvCamera, position: NDArray[np.float64], target: NDArray[np.float64]
         ) -> None:
-    """
-    Let a free camera look from a position to a target.
-
-    :param position: in ``world``, shape (3,) [m]
-    :param target: in ``world``, shape (3,) [m]
-    """
+    """Let a free camera look from a position to a target in ``world`` [m], shape (3,) each."""
     way = target - position
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat = target
@@ -510,11 +501,9 @@ _PERIOD_S = 1.0 / 30.0
 
 def show(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """
-    Serve the page until SIGINT, SIGTERM or SIGHUP.
+    Serve the page until SIGINT, SIGTERM or SIGHUP, and return the exit code, 0.
 
-    :param options: of the command line, such as ``listen`` and ``port``
     :param arguments: of ROS, such as ``--ros-args -r __ns:=/cell``
-    :returns: the exit code, 0
     :raises ManipSimError: if it cannot listen, read the saved poses, or start ROS
     """
     ended = EndSignals()

@@ -31,11 +31,7 @@ _HOLD_S = 1.0
 
 
 class PageCommands(Protocol):
-    """
-    A receiver of the commands that people give on the page; called in one thread.
-
-    A page without one can only be watched.
-    """
+    """A receiver of the commands of people, called in one thread; without one, a page shows."""
 
     def move_joints(self, space: str, part: str, field: str, goals: Mapping[str, float]) -> None:
         """
@@ -119,12 +115,7 @@ class Following:
         self._until_s = now_s + _HOLD_S
 
     def follows(self, now_s: float, moving: bool) -> bool:
-        """
-        Tell whether the input is to show the measured value.
-
-        :param now_s: wall time [s]
-        :param moving: whether the measured value changes, or cannot because of a pause
-        """
+        """Tell whether the input is to show the measured value, which may move; wall time [s]."""
         if self._until_s is None:
             return True
         if moving:
@@ -176,11 +167,7 @@ class Poses:
         self._change({**self._poses, name: dict(joints)})
 
     def delete(self, name: str) -> None:
-        """
-        Delete a pose; an unknown name is ignored.
-
-        :raises ManipSimError: if the file cannot be written; nothing changes then
-        """
+        """Delete a pose, if it is there; raises as :meth:`save`."""
         self._change({other: joints for other, joints in self._poses.items() if other != name})
 
     def _change(self, poses: dict[str, dict[str, float]]) -> None:
@@ -217,11 +204,7 @@ def _read(file: Path) -> dict[str, dict[str, float]]:
 
 
 class PosePanel:
-    """
-    A folder that saves where the joints are under a name, and moves them there again.
-
-    A pose has the joints with a slider of all parts that take positions.
-    """
+    """A folder that saves the positions of all sliders under a name, and moves there again."""
 
     def __init__(self, gui: Any, poses: Poses, robots: Sequence[Robot], commands: PageCommands,
                  events: Events, notify: Callable[[str], None]) -> None:
@@ -369,12 +352,7 @@ class Aiming:
                 self._aimed[number] = _aim(camera, posture, aimed.direction)
 
     def look(self, number: int | None, view: str, posture: Kinematics) -> None:
-        """
-        Aim the camera of one browser.
-
-        :param number: of the browser; one that is gone is ignored
-        :param view: one of :data:`VIEWS`
-        """
+        """Aim the camera of a browser, by its number, if it is there, at one of :data:`VIEWS`."""
         client = self._server.get_clients().get(number)
         if number is not None and client is not None and view in VIEWS:
             self._aimed[number] = _aim(client.camera, posture, VIEWS[view])
@@ -447,8 +425,8 @@ class EndEffectorTarget:
 
         :param now_s: wall time [s]
         :param position: of the end effector in ``world`` [m]
-        :param paused: whether the simulation is paused, so that nothing can move
         """
+        # A paused simulation cannot move.
         moving = paused or self._dragged or np.linalg.norm(position - self._last) > _STILL_M
         self._last = position
         if not self._control.visible or not self._following.follows(now_s, bool(moving)):

@@ -166,11 +166,7 @@ class Robot:
 
 
 def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
-    """
-    Return ``lower``, ``upper``, ``velocity`` and ``effort`` of joints, as far as declared.
-
-    :raises ValueError: if it is not XML, or a limit is not a finite number
-    """
+    """Return declared limits of joints, finite ones; ValueError if the URDF is not XML."""
     try:
         root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
@@ -245,11 +241,9 @@ _OUTCOMES = {
 @dataclass(frozen=True)
 class ShownStatus:
     """
-    A status of ``/diagnostics``.
+    A status of ``/diagnostics``, with its name without that of the node.
 
     :ivar level: 0 is all right, 1 is a warning, more is an error
-    :ivar name: what it is about, without the name of the node
-    :ivar values: by key, as in the message
     """
 
     level: int

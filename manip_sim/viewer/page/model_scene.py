@@ -26,11 +26,7 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 class Kinematics:
-    """
-    The kinematics of a model.
-
-    :ivar data: its ``mujoco.MjData``, current after :meth:`compute`
-    """
+    """The kinematics of a model; its ``mujoco.MjData`` is current after :meth:`compute`."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -342,11 +338,7 @@ _MAX_NAME = 60
 
 
 class Scene:
-    """
-    A model in the scene of a page.
-
-    :param data: the ``mujoco.MjData``: where its bodies are at first
-    """
+    """A model in the scene of a page, with its bodies where a ``mujoco.MjData`` has them."""
 
     def __init__(self, server: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._server = server

@@ -97,11 +97,7 @@ _WRENCHES = ('force', 'torque')
 
 
 class ViewPanel:
-    """
-    Buttons that aim the camera, and check boxes of the visible things.
-
-    :param look: aims the camera of a browser, by its number and the name of a view
-    """
+    """Buttons that aim the camera of a browser, by its number, and boxes of visible things."""
 
     def __init__(self, gui: Any, dark: bool, targets: Mapping[str, EndEffectorTarget],
                  set_dark: Callable[[bool], None], look: Callable[[int | None, str], None],
@@ -154,11 +150,7 @@ _QUALITY = 80
 
 
 class CameraPanel:
-    """
-    A box to tick for each camera, and its image below.
-
-    :param watch: starts or stops listening to the images of a camera
-    """
+    """A box to tick for each camera, which lets listen to its images, and its image below."""
 
     def __init__(self, gui: Any, cameras: Iterable[str], watch: Callable[[str, bool], None],
                  events: Events) -> None:

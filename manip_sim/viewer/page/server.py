@@ -112,11 +112,7 @@ class Access:
 
 
 def _is_of_interest(record: logging.LogRecord) -> bool:
-    """
-    Return whether to log: a client that sends invalid requests must not fill the log.
-
-    Other errors while a browser is served become a line.
-    """
+    """Keep invalid requests of clients out of the log, and make other errors a line."""
     if record.getMessage() == 'opening handshake failed':
         return False
     if record.exc_info and record.exc_info[1] is not None:
@@ -181,12 +177,9 @@ def _check(access: Access, answer: Any) -> Any:
 
 
 class CheckedConnection(ServerConnection):
-    """
-    A connection to a browser; messages that the page does not send are ignored, and logged once.
+    """A connection to a browser; messages that the page does not send are ignored, logged once."""
 
-    :cvar gui: the inputs of the page, set when the server has started
-    """
-
+    #: The inputs of the page, set when the server has started.
     gui: Any = None
     _reported = False
 
@@ -259,9 +252,8 @@ _Y_TO_Z = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
 def open_server(host: str, port: int, access: Access) -> Any:
     """
-    Return a ``viser.ViserServer``.
+    Return a ``viser.ViserServer`` that listens at the name or address of an interface.
 
-    :param host: name or address of the interface to listen on
     :param port: 0 takes one that is free
     :raises ManipSimError: if it cannot listen there
     """

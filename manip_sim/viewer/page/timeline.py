@@ -36,12 +36,7 @@ _WRENCH = 'wrench'
 
 
 class History:
-    """
-    Rows of numbers of the last span of simulation time.
-
-    :param span_s: how far it goes back [s]
-    :param most: how many rows it has, but for one, at most; evenly spaced
-    """
+    """Evenly spaced rows of numbers of the last span of simulation time [s], so many at most."""
 
     def __init__(self, span_s: float = WINDOW_S, most: int = _POINTS) -> None:
         self._span_s, self._spacing_s = span_s, span_s / most
