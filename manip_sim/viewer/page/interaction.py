@@ -115,7 +115,7 @@ class Following:
         self._until_s = now_s + _HOLD_S
 
     def follows(self, now_s: float, moving: bool) -> bool:
-        """Tell whether the input is to show the measured value, which may move; wall time [s]."""
+        """Tell whether to show the measured value, which moves or cannot in a pause; time [s]."""
         if self._until_s is None:
             return True
         if moving:
@@ -426,7 +426,7 @@ class EndEffectorTarget:
         :param now_s: wall time [s]
         :param position: of the end effector in ``world`` [m]
         """
-        # A paused simulation cannot move.
+        # In a pause, what is on its way cannot move.
         moving = paused or self._dragged or np.linalg.norm(position - self._last) > _STILL_M
         self._last = position
         if not self._control.visible or not self._following.follows(now_s, bool(moving)):
