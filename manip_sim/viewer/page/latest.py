@@ -166,7 +166,7 @@ class Robot:
 
 
 def declared_limits(urdf: str) -> dict[str, dict[str, float]]:
-    """Return declared limits of joints, finite ones; ValueError if the URDF is not XML."""
+    """Return the finite ``lower``, ``upper``, ``velocity`` and ``effort`` that a URDF declares."""
     try:
         root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
