@@ -19,7 +19,6 @@ from typing import Any
 
 from manip_sim.cli.composing_options import noise_parameters
 from manip_sim.cli.output import table, terminal_width, UsageError, write_whole
-from manip_sim.control.law.compiling import Row
 from manip_sim.errors import ManipSimError, ModelError, RecordError
 from manip_sim.experiments import (
     Experiment, parse_seeds, parse_shard, RunFolder, wilson_interval, Worker)

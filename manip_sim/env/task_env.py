@@ -136,7 +136,6 @@ class TaskEnv(_TaskEpisodes, gymnasium.Env[Observation, NDArray[Any]]):
                  answer_time: AnswerTimeLike = NO_ANSWER_TIME, chunk: int | None = None,
                  image_kinds: Sequence[str] = ('rgb',),
                  **composition: Any) -> None:
-        check_keywords(composition, TaskEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, cameras,
                           image_size, composition, noise, answer_time, image_kinds)
         self._prepare(setting, render_mode, (render_camera, render_size))
@@ -337,7 +336,6 @@ class TaskVectorEnv(
                  image_kinds: Sequence[str] = ('rgb',),
                  autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
                  **composition: Any) -> None:
-        check_keywords(composition, TaskVectorEnv)
         setting = Setting(task, robot, gripper, action, control_hz, latency, cameras,
                           image_size, composition, noise, answer_time, image_kinds)
         self._prepare(setting, render_mode, (render_camera, render_size))
