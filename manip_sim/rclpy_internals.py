@@ -32,7 +32,6 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
-import yaml
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line, quoted, quoted_names
@@ -122,6 +121,7 @@ def _mistakes(arguments: Sequence[str]) -> Iterator[str]:
 
 
 def _mistakes_of_parameter(word: str) -> Iterator[str]:
+    import yaml  # Only mistakes need it.
     name, assigned, value = word.partition(':=')
     if not (name and assigned and value):
         yield f'{quoted(f"-p {word}".strip())} must be -p NAME:=VALUE, without spaces'
@@ -146,6 +146,7 @@ def _mistakes_of_remapping(word: str) -> Iterator[str]:
 
 
 def _mistakes_of_file(name: str) -> Iterator[str]:
+    import yaml  # Only mistakes need it.
     try:
         content = yaml.safe_load(Path(name).read_text())
     except yaml.MarkedYAMLError as error:

@@ -12,16 +12,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import metadata
 import logging
 import os
 from pathlib import Path
 import re
 import sys
-import tempfile
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from manip_sim.errors import ModelError
+
+if TYPE_CHECKING:
+    from importlib import metadata
 
 PACKAGE = 'manip_sim'
 _LOGGER = logging.getLogger('manip_sim.models')
@@ -81,6 +82,7 @@ def cache_folder(kind: str) -> Path:
 
 def keep_in_cache(file: Path, content: bytes) -> None:
     """Write a file as a whole; another process may write the same at the same time."""
+    import tempfile  # Commands start without it.
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile('wb', dir=file.parent, delete=False) as stream:
         stream.write(content)
@@ -136,6 +138,7 @@ def offers(group: str) -> dict[str, Offer]:
 
 @lru_cache(maxsize=4)
 def _all_offers(path: tuple[str, ...]) -> tuple[tuple[str, Offer], ...]:
+    from importlib import metadata  # It takes a while, and most programs need it later.
     distributions = list(metadata.distributions(path=list(path)))
     # Reading names takes long; they are needed because only the first package of a name counts.
     if not _offer_some(distributions):
