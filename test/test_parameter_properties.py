@@ -19,8 +19,10 @@ from manip_sim.errors import ManipSimError, ModelError, ParameterError  # noqa: 
 from manip_sim.interface.parameter_spec import (  # noqa: E402
     check_names, GivenParameters, read_parameters)
 from manip_sim.interface.parameters import (  # noqa: E402
-    cartesian_parameters, composition_parameters, mode_parameters, node_parameters,
-    periods_per_message, place_parameters, steps_per_period, stream_parameters, timeout_parameters,
+    composition_parameters, node_parameters, periods_per_message, place_parameters,
+    steps_per_period)
+from manip_sim.interface.part_parameters import (  # noqa: E402
+    cartesian_parameters, mode_parameters, stream_parameters, timeout_parameters,
     wrench_parameters)
 from manip_sim.interface.topics import Scope  # noqa: E402
 from manip_sim.models.cameras import create_camera  # noqa: E402

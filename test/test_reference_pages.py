@@ -7,10 +7,12 @@ from pathlib import Path
 import re
 
 from manip_sim.interface.parameters import (
-    actuation_parameters, arena_specs, camera_parameters, cartesian_parameters,
-    composition_parameters, integral_parameters, keyframe_parameter, mode_parameters, MODEL_PATH,
-    node_parameters, payload_parameters, place_parameters, reflex_parameters, sensing_parameters,
-    speed_parameter, stream_parameters, timeout_parameters, wrench_parameters)
+    actuation_parameters, arena_specs, camera_parameters, composition_parameters,
+    keyframe_parameter, MODEL_PATH, node_parameters, place_parameters)
+from manip_sim.interface.part_parameters import (
+    cartesian_parameters, integral_parameters, mode_parameters, payload_parameters,
+    reflex_parameters, sensing_parameters, speed_parameter, stream_parameters, timeout_parameters,
+    wrench_parameters)
 from manip_sim.interface.topics import Scope
 from manip_sim.models.cameras import ImageSettings
 

@@ -17,7 +17,7 @@ from manip_sim.cli.composing_options import compose_from, Composed
 from manip_sim.cli.output import check_folder, write_whole
 from manip_sim.errors import ManipSimError
 from manip_sim.interface.offered_sensors import SensorSettings
-from manip_sim.interface.parameters import commanded_parts
+from manip_sim.interface.part_parameters import commanded_parts
 from manip_sim.interface.topics import hardware_of, remapped, topics_of_instruments
 from manip_sim.models import World
 from manip_sim.models.archive import describe_rounding

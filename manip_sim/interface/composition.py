@@ -18,18 +18,20 @@ from manip_sim.control.modes import MODES
 from manip_sim.errors import ModelError, ParameterError
 from manip_sim.interface.parameter_spec import ParameterSource
 from manip_sim.interface.parameters import (
-    actuation_parameters, arena_specs, camera_parameters, cartesian_parameters, commanded_parts,
-    composition_parameters, integral_parameters, keyframe_parameter, law_parameters,
-    mode_parameters, MODEL_PATH, node_parameters, payload_parameters, periods_per_image,
-    place_parameters, reflex_parameters, sensing_parameters, speed_parameter, steps_per_period,
-    stream_parameters, timeout_parameters, wrench_parameters)
+    actuation_parameters, arena_specs, camera_parameters, composition_parameters,
+    keyframe_parameter, MODEL_PATH, node_parameters, periods_per_image, place_parameters,
+    steps_per_period)
+from manip_sim.interface.part_parameters import (
+    cartesian_parameters, commanded_parts, integral_parameters, law_parameters, mode_parameters,
+    payload_parameters, reflex_parameters, sensing_parameters, speed_parameter, stream_parameters,
+    timeout_parameters, wrench_parameters)
 from manip_sim.interface.topics import Scope
 from manip_sim.models import (
     Arena, arena_parameters, compose_robot, create_arena, set_model_path, World)
 from manip_sim.models.cameras import (
     chosen_cameras, described_cameras, described_lidars, ImageSettings)
 from manip_sim.models.robots import RobotModel
-from manip_sim.models.robots.robot_model import SUBSYSTEMS
+from manip_sim.models.robots.robot_model import RobotModel, SUBSYSTEMS
 from manip_sim.models.user_files import AllowedRoots, parse_yaml, read_yaml
 from manip_sim.models.world import keyframe_names
 from manip_sim.physics.parts import Part

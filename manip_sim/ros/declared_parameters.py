@@ -22,7 +22,7 @@ from manip_sim.control.surroundings import ARENA
 from manip_sim.errors import describe_choices, ParameterError
 from manip_sim.interface.parameter_spec import (
     check_names, COUPLED, coupled_names, forget_spawned, ParameterSpec)
-from manip_sim.interface.parameters import default_timeout
+from manip_sim.interface.part_parameters import default_timeout
 from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.quoting import quoted

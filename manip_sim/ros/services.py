@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool
 from manip_sim.control.cartesian.cartesian_settings import IMPEDANCE
 from manip_sim.errors import (
     CommandError, describe_choices, ManipSimError, ModelError, SimulationEnded, UnknownNameError)
-from manip_sim.interface.parameters import law_parameters
+from manip_sim.interface.part_parameters import law_parameters
 from manip_sim.interface.topics import Scope, SERVICES
 from manip_sim.models.faults import fault_from_text
 from manip_sim.models.user_files import parse_yaml

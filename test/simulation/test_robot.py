@@ -9,7 +9,7 @@ from sampling import whole_robot
 
 from manip_sim.control.commands import Command, GripperSuction, Status
 from manip_sim.errors import CommandError, UnknownNameError
-from manip_sim.interface.parameters import commanded_parts, mode_parameters
+from manip_sim.interface.part_parameters import commanded_parts, mode_parameters
 from manip_sim.interface.topics import Scope
 from manip_sim.models import compose
 from manip_sim.models.robots import robot_names
