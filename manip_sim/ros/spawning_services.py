@@ -252,56 +252,25 @@ def answering_later(fill: Callable[[Any, Any], Awaitable[None]]) -> Callable[[An
     return answer
 
 
-class SpawnedRobots:
-    """Add robots to the context and the features of a node, and remove them."""
+def add_robot(context: NodeContext, name: str, plan: RobotsPlan) -> None:
+    """
+    Add a robot, in the thread that spins the node.
 
-    def __init__(self, context: NodeContext) -> None:
-        self._context = context
+    :param plan: with the robot
+    :raises Rejection: if the physics is on hold
+    """
+    change_unless_diverged(context, partial(context.thread.change_robots, plan))
+    context.add_robot(name)
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the robots that can be deleted."""
-        return list(self._context.simulation.spawned_robots)
 
-    def free_name(self, wanted: str, may_rename: bool) -> str:
-        """
-        Return the name of a robot that comes.
+async def delete_robot(context: NodeContext, name: str) -> None:
+    """
+    Remove a spawned robot, whose goals are aborted; awaited in the thread that spins the node.
 
-        :param wanted: name that a client asks for
-        :param may_rename: whether a number may follow it
-        :raises Rejection: if it cannot be a name, or something has it
-        """
-        return free_name(
-            wanted, may_rename, self._taken(),
-            '{} is taken: by a robot, an object, a topic or a parameter', check_robot_name)
-
-    def _taken(self) -> set[str]:
-        context, simulation = self._context, self._context.simulation
-        return {*simulation.robots, *simulation.entities.names,
-                *(row.name.partition('/')[0] for row in context.table if '/' in row.name),
-                *(name.partition('.')[0] for name in context.parameters.names if '.' in name)}
-
-    def add(self, name: str, plan: RobotsPlan) -> None:
-        """
-        Add a robot, in the thread that spins the node.
-
-        :param plan: with the robot
-        :raises Rejection: if the physics is on hold
-        """
-        change_unless_diverged(self._context, partial(self._context.thread.change_robots, plan))
-        self._context.add_robot(name)
-
-    async def remove(self, name: str) -> None:
-        """
-        Remove a robot, whose goals are aborted; to be awaited in the thread that spins the node.
-
-        :param name: one of :attr:`names`
-        :raises ModelError: if the world cannot be without it
-        """
-        context = self._context
-        plan = await in_background(
-            context.node, lambda: plan_without_robot(context.simulation, name))
-        await context.remove_robot(name, partial(context.thread.change_robots, plan))
+    :raises ModelError: if the world cannot be without it
+    """
+    plan = await in_background(context.node, lambda: plan_without_robot(context.simulation, name))
+    await context.remove_robot(name, partial(context.thread.change_robots, plan))
 
 
 _OTHER_CHARACTERS = re.compile(r'[^A-Za-z0-9_]+')
@@ -345,7 +314,6 @@ class SpawningServices:
 
     def __init__(self, context: NodeContext, files: AllowedRoots, types: StandardTypes) -> None:
         self._context, self._simulation = context, context.simulation
-        self._robots = SpawnedRobots(context)
         self.files, self._messages = files, types.messages
         # One group, because each plan is made from the one before.
         self.group = MutuallyExclusiveCallbackGroup()
@@ -436,15 +404,23 @@ class SpawningServices:
 
     async def _add_robot(self, item: RequestedRobot, request: Any, response: Any, pose: Pose
                          ) -> None:
-        name = self._robots.free_name(request.name or item.name, request.allow_renaming)
+        name = self._free_robot_name(request.name or item.name, request.allow_renaming)
         if request.entity_namespace.strip('/') not in ('', name):
             raise Rejection(SpawnCode.NAMESPACE_INVALID, f'the namespace of a robot is its name, '
                             f'{quoted(name)}: leave entity_namespace empty')
         with _parsing():
             plan = await in_background(self._context.node, lambda: plan_with_robot(
                 self._simulation, item.create(name, pose)))
-        self._robots.add(name, plan)
+        add_robot(self._context, name, plan)
         response.entity_name = name
+
+    def _free_robot_name(self, requested: str, may_rename: bool) -> str:
+        context, simulation = self._context, self._simulation
+        taken = {*simulation.robots, *simulation.entities.names,
+                 *(row.name.partition('/')[0] for row in context.table if '/' in row.name),
+                 *(name.partition('.')[0] for name in context.parameters.names if '.' in name)}
+        return free_name(requested, may_rename, taken, '{} is taken: by a robot, an object, a '
+                         'topic or a parameter', check_robot_name)
 
     def _free_name(self, requested: str, may_rename: bool, also_taken: set[str]) -> str:
         if may_rename:
@@ -455,8 +431,8 @@ class SpawningServices:
 
     async def _delete(self, request: Any, _: Any) -> None:
         name, plan = request.entity, self._simulation.plan
-        if name in self._robots.names:
-            await self._robots.remove(name)
+        if name in self._simulation.spawned_robots:
+            await delete_robot(self._context, name)
             return
         if name in self._simulation.entities.names and name not in plan.object_names:
             raise Rejection(ResultCode.RESULT_OPERATION_FAILED,

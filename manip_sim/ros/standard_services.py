@@ -31,9 +31,9 @@ from manip_sim.ros.executor import in_background, Rounds
 from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import filled, import_optional, numbers_of, stamp_of, WORLD
 from manip_sim.ros.spawning_services import (
-    answering, answering_later, BoundsType, Category, change_unless_diverged, FeatureCode, FORMATS,
-    LoadCode, reject_if_diverged, Rejection, resource_of, result_filled, ResultCode, ScopeCode,
-    SetEntityCode, SetStateCode, SpawnedRobots, SpawningServices, StandardTypes, StateCode,
+    answering, answering_later, BoundsType, Category, change_unless_diverged, delete_robot,
+    FeatureCode, FORMATS, LoadCode, reject_if_diverged, Rejection, resource_of, result_filled,
+    ResultCode, ScopeCode, SetEntityCode, SetStateCode, SpawningServices, StandardTypes, StateCode,
     SUFFIXES, TagsMode, WorldCode)
 from manip_sim.simulation.robot_spawning import plan_in_arena, RequestedRobot, RobotsPlan
 
@@ -450,7 +450,6 @@ class WorldServices:
                  spawning: SpawningServices) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
         self._states, self._files, self._types = states, spawning.files, types
-        self._robots = SpawnedRobots(context)
         types.offer(context.node, {
             'LoadWorld': answering_later(self._load),
             'UnloadWorld': answering_later(self._unload)}, spawning.group)
@@ -492,8 +491,8 @@ class WorldServices:
                             'the world belongs to a task, which needs it')
         # A world that cannot be used is rejected before anything goes.
         await in_background(self._context.node, lambda: self._plan(name))
-        for robot in self._robots.names:
-            await self._robots.remove(robot)
+        for robot in list(self._simulation.spawned_robots):
+            await delete_robot(self._context, robot)
         plan = await in_background(self._context.node, lambda: self._plan(name))
         self._thread.change_robots(plan, 'the arena was replaced')
         self._states.stop()

@@ -11,7 +11,7 @@ from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.poses_and_twists import Pose
 from manip_sim.ros.feature import Feature
 from manip_sim.ros.sim_node import SimNode
-from manip_sim.ros.spawning_services import SpawnedRobots
+from manip_sim.ros.spawning_services import add_robot, delete_robot
 from manip_sim.simulation.robot_spawning import plan_with_robot, RequestedRobot
 
 
@@ -85,17 +85,16 @@ def test_features_are_told_of_the_start_of_robots_parameters_and_the_end(recorde
     assert events(calls, 'parameters') == [('parameters', 'real_time_factor')]
     node.shared.parameters.show({'real_time_factor': 1.5})  # It acts already.
     assert events(calls, 'parameters') == [('parameters',)]
-    spawned = SpawnedRobots(node.shared)
     plan = plan_with_robot(node.simulation, RequestedRobot(
         {'robot': 'UR5e'}, 'test', AllowedRoots([], 'spawn_roots')).create(
             'left', Pose(np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))))
-    in_executor(node, client, spawned.add, 'left', plan)
+    in_executor(node, client, add_robot, node.shared, 'left', plan)
     added = next(i for i, call in enumerate(calls) if call[0] != 'parameters')
     assert {call[2] for call in calls[:added]} >= {'left.spawned', 'left.control_mode.arm'}
     del calls[:added]
     told = events(calls, 'added', 'changed')
     assert told == [('added', 'left', 'left', True, True), ('changed', 'robot0', 'left', 'left')]
-    in_executor(node, client, spawned.remove, 'left')
+    in_executor(node, client, delete_robot, node.shared, 'left')
     assert events(calls, 'removed', 'changed') == [
         ('removed', 'left', True), ('changed', 'robot0')]
     node.stop()

@@ -19,7 +19,7 @@ from manip_sim.models.object_creation import create_object
 from manip_sim.models.user_files import AllowedRoots
 from manip_sim.physics.object_spawning import plan_with, plan_without
 from manip_sim.physics.poses_and_twists import Pose
-from manip_sim.ros.spawning_services import SpawnedRobots
+from manip_sim.ros.spawning_services import add_robot
 from manip_sim.simulation.robot_spawning import plan_with_robot, RequestedRobot
 
 #: Live parameters of the node that are no settings of a robot.
@@ -375,7 +375,7 @@ def test_a_dump_starts_a_node_after_noise_was_switched_off(serve):
 
 def come(node, folder):
     """Let a robot with the name left come."""
-    SpawnedRobots(node.shared).add('left', plan_with_robot(node.simulation, RequestedRobot(
+    add_robot(node.shared, 'left', plan_with_robot(node.simulation, RequestedRobot(
         {'robot': 'Panda'}, 'here', AllowedRoots([folder], 'here')).create('left', Pose(
             np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])))))
 
