@@ -212,11 +212,10 @@ class Diagnostics(Feature):
             self._compare_rate(status, period_s)
         for stopped in robot.reflexes.tripped:
             if part in robot.parts and stopped in robot.parts[part].atomic:
-                status.level = DiagnosticStatus.ERROR
                 remedy = 'recover' if robot.reflexes.is_emergency else 'reset_reflex'
-                status.message = (f'stopped by a reflex: {robot.reflexes.tripped[stopped]}; '
-                                  f'call ~/{remedy}')
-                self._context.log.warn(name, 'reflex', f'{name}: {status.message}')
+                self._warn(status, 'reflex', 'stopped by a reflex: '
+                           f'{robot.reflexes.tripped[stopped]}; call ~/{remedy}')
+                status.level = DiagnosticStatus.ERROR
         if part in robot.grippers:
             self._report_faults(status, robot.grippers[part])
         for report in reports:
@@ -227,11 +226,9 @@ class Diagnostics(Feature):
         """Warn of commands that come at another rate than is expected."""
         expected_hz = self._context.parameters.value('expected_command_rate')
         if expected_hz and abs(period_s * expected_hz - 1.0) > _TOLERATED_RATE:
-            status.level = DiagnosticStatus.WARN
             rate = f'{1.0 / period_s:.4g} Hz' if period_s else 'more than publish_rate'
-            status.message = (f'commands come at {rate} of simulation time, not at '
-                              f'{expected_hz:g} Hz as expected_command_rate says')
-            self._context.log.warn(status.name, 'rate', f'{status.name}: {status.message}')
+            self._warn(status, 'rate', f'commands come at {rate} of simulation time, not at '
+                       f'{expected_hz:g} Hz as expected_command_rate says')
 
     def _report_new(self, name: str, report: CartesianReport) -> None:
         """Warn of causes since the last status that keep an end effector from its target."""
@@ -245,9 +242,12 @@ class Diagnostics(Feature):
         faults, before = gripper.faults, self._last_faults.get(status.name, 0)
         self._last_faults[status.name] = faults
         if faults > before:
-            status.level = DiagnosticStatus.WARN
-            status.message = one_line(f'the fingers hold, {gripper.last_fault}')
-            self._context.log.warn(status.name, 'fault', f'{status.name}: {status.message}')
+            self._warn(status, 'fault', one_line(f'the fingers hold, {gripper.last_fault}'))
+
+    def _warn(self, status: DiagnosticStatus, kind: str, message: str) -> None:
+        """Turn a status into a warning, and log it."""
+        status.level, status.message = DiagnosticStatus.WARN, message
+        self._context.log.warn(status.name, kind, f'{status.name}: {message}')
 
 
 _WARNINGS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,

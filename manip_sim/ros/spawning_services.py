@@ -160,11 +160,22 @@ def resource_of(message: Any, field: str) -> Any:
 
 
 class Rejection(ManipSimError):
-    """A request cannot be served, with the result code that says why."""
+    """A request cannot be served, with a result code that says more than that it failed."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
         self.code = code
+
+
+def check_frame(frame_id: str) -> None:
+    """
+    Check that a pose is in ``world``.
+
+    :raises Rejection: if it is in another frame
+    """
+    if frame_id not in ('', WORLD):
+        raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED, f'frame_id {quoted(frame_id)} is '
+                        f"not supported: leave it empty or write '{WORLD}'")
 
 
 def reject_if_diverged(context: NodeContext, code: int = ResultCode.RESULT_INCORRECT_STATE
@@ -435,9 +446,8 @@ class SpawningServices:
             await delete_robot(self._context, name)
             return
         if name in self._simulation.entities.names and name not in plan.object_names:
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                            f"'{name}' belongs to the arena or a robot that was there at the "
-                            'start, and cannot be deleted')
+            raise CommandError(f"'{name}' belongs to the arena or a robot that was there at the "
+                               'start, and cannot be deleted')
         self._take_over(plan_without(plan, name), 'delete', name)
 
     def _take_over(self, plan: WorldPlan, operation: str, *arguments: Any) -> None:
@@ -512,10 +522,7 @@ def _path(uri: str) -> str:
 
 
 def _pose(message: Any) -> Pose:
-    if message.header.frame_id not in ('', WORLD):
-        raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                        f"frame_id {quoted(message.header.frame_id)} is not supported: leave it "
-                        f"empty or write '{WORLD}'")
+    check_frame(message.header.frame_id)
     try:
         return Pose.checked(numbers_of(message.pose.position),
                             numbers_of(message.pose.orientation))

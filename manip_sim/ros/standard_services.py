@@ -31,10 +31,10 @@ from manip_sim.ros.executor import in_background, Rounds
 from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import filled, import_optional, numbers_of, stamp_of, WORLD
 from manip_sim.ros.spawning_services import (
-    answering, answering_later, BoundsType, Category, change_unless_diverged, delete_robot,
-    FeatureCode, FORMATS, LoadCode, reject_if_diverged, Rejection, resource_of, result_filled,
-    ResultCode, ScopeCode, SetEntityCode, SetStateCode, SpawningServices, StandardTypes, StateCode,
-    SUFFIXES, TagsMode, WorldCode)
+    answering, answering_later, BoundsType, Category, change_unless_diverged, check_frame,
+    delete_robot, FeatureCode, FORMATS, LoadCode, reject_if_diverged, Rejection, resource_of,
+    result_filled, ResultCode, ScopeCode, SetEntityCode, SetStateCode, SpawningServices,
+    StandardTypes, StateCode, SUFFIXES, TagsMode, WorldCode)
 from manip_sim.simulation.robot_spawning import plan_in_arena, RequestedRobot, RobotsPlan
 
 re2 = import_optional('re2')
@@ -130,13 +130,12 @@ class EntityServices:
         info = request.info
         category, tags = int(info.category.category), tuple(info.tags)
         if category not in list(Category):
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED, f'there is no category {category}'
-                            f', only {", ".join(f"{c.name} ({c.value})" for c in Category)}')
+            raise CommandError(f'there is no category {category}, only '
+                               + ', '.join(f'{c.name} ({c.value})' for c in Category))
         if (len(info.description) > _MAX_DESCRIPTION or len(tags) > _MAX_TAGS
                 or any(len(tag) > _MAX_TAG for tag in tags)):
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'a description may have '
-                            f'{_MAX_DESCRIPTION} characters, and an entity {_MAX_TAGS} tags of '
-                            f'{_MAX_TAG} characters')
+            raise CommandError(f'a description may have {_MAX_DESCRIPTION} characters, and an '
+                               f'entity {_MAX_TAGS} tags of {_MAX_TAG} characters')
         self._infos[request.entity] = _Info(category, info.description, tags)
 
     def _get_bounds(self, request: Any, response: Any) -> None:
@@ -155,12 +154,8 @@ class EntityServices:
     def _set_entity_state(self, request: Any, response: Any) -> None:
         name = request.entity
         if not self._simulation.entities.is_free(name):
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                            f"'{request.entity}' cannot be moved, only free bodies can")
-        if request.state.header.frame_id not in ('', WORLD):
-            raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                            f"frame_id '{request.state.header.frame_id}' is not supported: leave "
-                            f"it empty or write '{WORLD}'")
+            raise CommandError(f"'{name}' cannot be moved, only free bodies can")
+        check_frame(request.state.header.frame_id)
         pose, twist = _parts(request)
 
         change_unless_diverged(self._context, partial(
@@ -197,16 +192,15 @@ def _region(bounds: Any) -> Box | Sphere | None:
     points = np.array([numbers_of(point) for point in bounds.points]).reshape(-1, 3)
     name = 'a box' if kind == BoundsType.TYPE_BOX else 'a sphere'
     if len(points) != 2:
-        raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                        f'bounds: {name} has 2 points, got {len(points)}')
+        raise CommandError(f'bounds: {name} has 2 points, got {len(points)}')
     if not np.isfinite(points if kind == BoundsType.TYPE_BOX else points.ravel()[:4]).all():
-        raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                        f'bounds: the numbers of {name} must be finite, got {points.tolist()}')
+        raise CommandError(
+            f'bounds: the numbers of {name} must be finite, got {points.tolist()}')
     if kind == BoundsType.TYPE_BOX:
         return Box(points.min(axis=0), points.max(axis=0))
     if points[1, 0] < 0.0:
-        raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'bounds: the radius of a sphere must '
-                        f'not be negative, got {points[1, 0]:g}')
+        raise CommandError('bounds: the radius of a sphere must not be negative, got '
+                           f'{points[1, 0]:g}')
     return Sphere(points[0], float(points[1, 0]))
 
 
@@ -230,8 +224,8 @@ def _parts(request: Any) -> tuple[Pose | None, Twist | None]:
     set_pose, set_twist = (getattr(request, flag, True) for flag in ('set_pose', 'set_twist'))
     pose = twist = None
     if not (set_pose or set_twist):
-        raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'nothing to set: set_pose and '
-                        'set_twist are false, and an acceleration cannot be set')
+        raise CommandError('nothing to set: set_pose and set_twist are false, and an acceleration '
+                           'cannot be set')
     if set_pose:
         try:
             pose = Pose.checked(*map(numbers_of, (state.pose.position, state.pose.orientation)))
@@ -368,11 +362,10 @@ class SimulationInterfaces:
         :raises CommandError: if one cannot be made
         """
         if steps == 0:
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED, 'steps must be 1 or more, got 0')
+            raise CommandError('steps must be 1 or more, got 0')
         self._reject_without_world()
         if self._state() == StateCode.STATE_STOPPED:
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                            'the simulation is stopped: pause it first')
+            raise CommandError('the simulation is stopped: pause it first')
         for done in range(steps):
             try:
                 self._thread.step()
@@ -487,8 +480,7 @@ class WorldServices:
         """Replace the arena, and stop the simulation at the start."""
         reject_if_diverged(self._context)
         if self._context.parameters.value('task'):
-            raise Rejection(ResultCode.RESULT_OPERATION_FAILED,
-                            'the world belongs to a task, which needs it')
+            raise CommandError('the world belongs to a task, which needs it')
         # A world that cannot be used is rejected before anything goes.
         await in_background(self._context.node, lambda: self._plan(name))
         for robot in list(self._simulation.spawned_robots):
@@ -516,7 +508,7 @@ class WorldServices:
             unknown = (f'cannot search {", ".join(map(quoted, request.additional_sources))}: name '
                        'the folders of files of arenas in the parameter model_path')
             if not request.continue_on_error:
-                raise Rejection(ResultCode.RESULT_OPERATION_FAILED, unknown)
+                raise CommandError(unknown)
             response.result.error_message = unknown
         response.worlds = [self._fill(self._types.messages.WorldResource(), name)
                            for name in arena_names()]
