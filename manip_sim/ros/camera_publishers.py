@@ -264,6 +264,7 @@ class CameraPublishers:
     :param name: of the camera
     :param depth: whether there are depth images
     :param sensing: its noise and latency
+    :ivar names: takes the names of the labels, as :func:`body_names` returns them
     """
 
     def __init__(self, context: NodeContext, name: str, intrinsics: Intrinsics, depth: bool,
@@ -278,7 +279,7 @@ class CameraPublishers:
         self._images = {False: ImageOutputs(context, self._seen)}
         self._infos = [(channel, _create_output(context, channel.topic)) for channel in channels
                        if not channel.parts]
-        self._names = _create_output(context, BY_NAME['<camera>/labels/names'].filled_in(name))
+        self.names = _create_output(context, BY_NAME['<camera>/labels/names'].filled_in(name))
 
     def publish_truth(self) -> None:
         """Also publish exact images, below ``truth/``, if noise or latency of images is set."""
@@ -295,14 +296,8 @@ class CameraPublishers:
         return (False, False, False) if images is None else images.wanted()
 
     def have_subscribers(self) -> bool:
-        return any((*self.wanted(False), *self.wanted(True), self.infos_wanted()))
-
-    def infos_wanted(self) -> bool:
-        return any(output.wanted for _, output in self._infos)
-
-    def publish_names(self, names: str) -> None:
-        """Publish the names of the labels, as :func:`body_names` returns them."""
-        self._names.publish(String(data=names))
+        return any((*self.wanted(False), *self.wanted(True),
+                    *(output.wanted for _, output in self._infos)))
 
     def publish_infos(self, time_ns: int) -> None:
         for channel, output in self._infos:
@@ -375,7 +370,7 @@ class Cameras(Feature):
         """Publish the names of the labels that the simulation has now."""
         names = body_names(self._context.simulation.model) if self._publishers else ''
         for publishers in self._publishers.values():
-            publishers.publish_names(names)
+            publishers.names.publish(String(data=names))
 
     def parameters_changed(self, parameters: Sequence[Parameter]) -> None:
         for publishers in self._publishers.values():
