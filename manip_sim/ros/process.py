@@ -171,12 +171,13 @@ def run_in_real_time(parameters: Parameters, logger: RcutilsLogger) -> None:
         _lock_memory()
     priority = parameters.value('thread_priority')
     # With a single processor nothing else could run while the physics is late.
-    if not priority or parameters.value('stepping') != 'realtime' or (
-            len(processors) < 2):
+    if not priority or parameters.value('stepping') != 'realtime' or len(processors) < 2:
         return
     try:
         for thread in threads:
-            _set_priority(thread, priority)
+            with contextlib.suppress(ProcessLookupError):  # It has ended.
+                os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK,
+                                      os.sched_param(priority))
     except PermissionError:  # The priority that somebody else gave the process stays.
         logger.info(f'real-time priority {priority} is not permitted, which costs punctuality on '
                     f'a busy machine; permit it ({_REMEDY}), or set thread_priority to 0')
@@ -184,8 +185,8 @@ def run_in_real_time(parameters: Parameters, logger: RcutilsLogger) -> None:
 
 def _threads() -> list[int]:
     """Return the ids of the threads that do not render."""
-    rendering = {thread.native_id for thread in threading.enumerate()
-                 if thread.name == THREAD_NAME}
+    rendering = {
+        thread.native_id for thread in threading.enumerate() if thread.name == THREAD_NAME}
     return sorted({int(task.name) for task in _THREADS.iterdir()} - rendering)
 
 
@@ -198,13 +199,6 @@ def _set_processors(threads: list[int], present: set[int], numbers: list[int]) -
     for thread in threads:
         with contextlib.suppress(ProcessLookupError):  # It has ended.
             os.sched_setaffinity(thread, numbers)
-
-
-def _set_priority(thread: int, priority: int) -> None:
-    """Let a thread run before all others of lower priority."""
-    with contextlib.suppress(ProcessLookupError):  # It has ended.
-        os.sched_setscheduler(
-            thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def _lock_memory() -> None:
