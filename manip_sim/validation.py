@@ -244,8 +244,3 @@ def clamped_example(names: Sequence[str], values: FloatArray, inside: FloatArray
         return ''
     place = tuple(np.argwhere(clamped)[0])
     return f'{names[place[-1]]} from {values[place]:g} to {inside[place]:g}'
-
-
-def action_example(numbers: FloatArray, inside: FloatArray) -> str:
-    """Return the :func:`clamped_example` of an action, whose numbers have no names."""
-    return clamped_example([f'data[{i}]' for i in range(len(numbers))], numbers, inside)

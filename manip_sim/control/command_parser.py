@@ -38,7 +38,7 @@ from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.physics.robot_frames import RobotFrames
 from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.validation import (
-    action_example, clamp, clamped_example, command_numbers, finite_command_numbers,
+    clamp, clamped_example, command_numbers, finite_command_numbers,
     positive_number)
 
 #: Number of lists of names whose meaning is cached; a client has a few.
@@ -242,19 +242,15 @@ class CommandParser:
         """
         if part in self._grippers:
             gripper = self._grippers[part]
-            numbers = finite_command_numbers(action, gripper.dof, f'{part}: an action')
-            inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
-            return GripperAction(
-                robot=self._robot, parts=frozenset([part]), indices=gripper.indices,
-                action=inside, clamped=clamped, clamped_example=action_example(numbers, inside))
+            inside, clamped = _checked_action(action, gripper.dof, f'{part}: an action')
+            return GripperAction(robot=self._robot, parts=frozenset([part]),
+                                 indices=gripper.indices, action=inside, **clamped)
         indices, modes = self._joints.indices_of(part), self._joints.modes
-        numbers = finite_command_numbers(action, len(indices), f'{part}: an action')
-        inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
+        inside, clamped = _checked_action(action, len(indices), f'{part}: an action')
         return JointSetpoint(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices,
-            clamped=clamped, clamped_example=action_example(numbers, inside),
             modes=tuple(modes[i] for i in indices),
-            values=self._formatted(part, indices, inside, modes))
+            values=self._formatted(part, indices, inside, modes), **clamped)
 
     def trajectory(self, part: str, names: Sequence[str], times_s: Sequence[float],
                    positions: ArrayLike, velocities: ArrayLike | None = None,
@@ -299,7 +295,7 @@ class CommandParser:
         check_times(times)
         shape = (len(times), len(names))
         asked = _points(part, 'positions', positions, shape)
-        goal, clamped = clamp(asked, joints.clamps(indices, modes))
+        goal, clamped = _clamped(asked, joints.clamps(indices, modes), names)
         goal_velocities = (
             None if velocities is None else _points(part, 'velocities', velocities, shape))
         goal_accelerations = (
@@ -317,7 +313,7 @@ class CommandParser:
         return JointTrajectory(
             robot=self._robot, parts=joints.parts_of(indices), indices=indices,
             trajectory=trajectory, columns=np.arange(len(names)), start_ns=start_ns,
-            slowed=slowed, clamped=clamped, clamped_example=clamped_example(names, asked, goal))
+            slowed=slowed, **clamped)
 
     def twist(self, forward: float, side: float, yaw: float) -> Command:
         """
@@ -337,11 +333,11 @@ class CommandParser:
             able = names_of_modes(lambda mode: mode.takes_twists)
             raise CommandError(f'base takes a twist in {able} mode only, it is in '
                                f'{modes[indices[0]]} mode')
-        inside, clamped = clamp(values, self._joints.twist_clamps(indices, modes))
+        inside, clamped = _clamped(values, self._joints.twist_clamps(indices, modes),
+                                   ('linear.x', 'linear.y', 'angular.z'))
         return BaseTwist(
             robot=self._robot, parts=self._joints.parts_of(indices), indices=indices,
-            twist=inside, joints=indices, columns=np.arange(3), clamped=clamped,
-            clamped_example=clamped_example(('linear.x', 'linear.y', 'angular.z'), values, inside))
+            twist=inside, joints=indices, columns=np.arange(3), **clamped)
 
     def _placed(self, what: str, field: str, given: FloatArray, addressed: _Addressed
                 ) -> FloatArray:
@@ -470,15 +466,27 @@ def _commands(robot: RobotModel, addressed: _Addressed, values: FloatArray) -> l
     """Return the commands for the goals of all joints that are addressed."""
     commands: list[Command] = []
     for group in addressed.groups:
-        goals = values[group.places]
-        inside, clamped = clamp(goals, group.clamps)
-        common: dict[str, Any] = {
-            'robot': robot, 'parts': group.parts, 'indices': group.indices, 'values': inside,
-            'clamped': clamped,
-            'clamped_example': clamped_example(group.names, goals, inside) if clamped else ''}
+        inside, clamped = _clamped(values[group.places], group.clamps, group.names)
+        common: dict[str, Any] = {'robot': robot, 'parts': group.parts, 'indices': group.indices,
+                                  'values': inside, **clamped}
         commands.append(GripperSetpoint(joints=group.names, **common) if group.modes is None
                         else JointSetpoint(modes=group.modes, **common))
     return commands
+
+
+def _clamped(values: FloatArray, ranges: FloatArray, names: Sequence[str]
+             ) -> tuple[FloatArray, dict[str, Any]]:
+    """Return numbers in their ranges, and what their command says of those that were not."""
+    inside, count = clamp(values, ranges)
+    return inside, {} if not count else {
+        'clamped': count, 'clamped_example': clamped_example(names, values, inside)}
+
+
+def _checked_action(action: ArrayLike, count: int, what: str
+                    ) -> tuple[FloatArray, dict[str, Any]]:
+    """Return the numbers of an action in [-1, 1], and the same as :func:`_clamped`."""
+    numbers = finite_command_numbers(action, count, what)
+    return _clamped(numbers, np.array([-1.0, 1.0]), [f'data[{i}]' for i in range(count)])
 
 
 def _column(what: str, field: str, values: ArrayLike | None, count: int) -> FloatArray:
@@ -552,12 +560,11 @@ class CartesianParser:
         :raises CommandError: if the frame is unknown, or the numbers are not a pose
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        indices = self._indices_of(arm)
+        of_arm = self._of(arm)
         target_frame = self._frames.find(frame, f'{arm}: a target pose')
         pose = Pose.checked(position, quat_xyzw)
         return CartesianPose(
-            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            frame=target_frame, position=pose.position,
+            **of_arm, frame=target_frame, position=pose.position,
             rotation=matrix_of(xyzw_to_wxyz(pose.quat_xyzw)))
 
     def twist(self, arm: str, linear: ArrayLike, angular: ArrayLike, frame: str = ''
@@ -573,16 +580,14 @@ class CartesianParser:
         :raises CommandError: if the frame is unknown, or a number is not finite or too great
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        indices = self._indices_of(arm)
+        of_arm = self._of(arm)
         target_frame = self._frames.find(frame, f'{arm}: a target twist')
         twist = Twist.checked(linear, angular)
         settings = self._settings[arm]
         halves = [_shortened(twist.linear, settings.linear_velocity),
                   _shortened(twist.angular, settings.angular_velocity)]
         return CartesianTwist(
-            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            frame=target_frame,
-            twist=np.concatenate([vector for vector, _ in halves]),
+            **of_arm, frame=target_frame, twist=np.concatenate([vector for vector, _ in halves]),
             clamped=sum(clamped for _, clamped in halves))
 
     def until_contact(self, arm: str, linear: ArrayLike, angular: ArrayLike, *, force: float,
@@ -606,10 +611,8 @@ class CartesianParser:
         limits = {name: positive_number(value, f'{arm}: the {name} of a motion until contact',
                                         CommandError) for name, value in (
             ('force', force), ('distance', distance), ('duration', duration_s))}
-        return GuardedTwist(
-            robot=twist.robot, parts=twist.parts, indices=twist.indices, arm=arm,
-            frame=twist.frame, twist=twist.twist, clamped=twist.clamped, force=limits['force'],
-            distance=limits['distance'], duration_s=limits['duration'])
+        return GuardedTwist(**vars(twist), force=limits['force'], distance=limits['distance'],
+                            duration_s=limits['duration'])
 
     def wrench(self, arm: str, force: ArrayLike, torque: ArrayLike, frame: str = ''
                ) -> CartesianWrench:
@@ -623,15 +626,13 @@ class CartesianParser:
             an impedance
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        indices = self._indices_of(arm)
+        of_arm = self._of(arm)
         target_frame = self._frames.find(frame, f'{arm}: a target wrench')
         wrench = np.concatenate([
             finite_command_numbers(force, 3, f'{arm}: the force of a target wrench'),
             finite_command_numbers(torque, 3, f'{arm}: the torque of a target wrench')])
         self._check_impedance(arm, 'a target wrench')
-        return CartesianWrench(
-            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            frame=target_frame, wrench=wrench)
+        return CartesianWrench(**of_arm, frame=target_frame, wrench=wrench)
 
     def force_mode(self, arm: str, selection: ArrayLike, wrench: ArrayLike, limits: ArrayLike
                    ) -> ForceMode:
@@ -647,8 +648,7 @@ class CartesianParser:
             impedance
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        indices = self._indices_of(arm)
-        numbers = [
+        of_arm, numbers = self._of(arm), [
             finite_command_numbers(value, 6, f'{arm}: the {name} of force mode')
             for value, name in (
                 (selection, 'selection'), (wrench, 'wrench'), (limits, 'limits'))]
@@ -661,9 +661,8 @@ class CartesianParser:
                                f'that are chosen, got {numbers[2].tolist()}')
         self._check_impedance(arm, 'force mode')
         return ForceMode(
-            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            frame=self._frames.find('', arm), wrench=np.where(chosen, numbers[1], 0.0),
-            selection=chosen, limits=np.where(chosen, numbers[2], 1.0))
+            **of_arm, frame=self._frames.find('', arm), selection=chosen,
+            wrench=np.where(chosen, numbers[1], 0.0), limits=np.where(chosen, numbers[2], 1.0))
 
     def _check_impedance(self, arm: str, what: str) -> None:
         if not self._joints.impedes(arm):
@@ -678,18 +677,17 @@ class CartesianParser:
         :raises CommandError: if the length is wrong or a number is not finite
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
-        indices = self._indices_of(arm)
-        numbers = finite_command_numbers(action, 6, f'{arm}: a pose action')
-        inside, clamped = clamp(numbers, np.array([-1.0, 1.0]))
-        return PoseAction(
-            robot=self._robot, parts=self._joints.parts_of(indices), indices=indices, arm=arm,
-            action=inside, clamped=clamped,
-            clamped_example=action_example(numbers, inside) if clamped else '')
+        of_arm = self._of(arm)
+        inside, clamped = _checked_action(action, 6, f'{arm}: a pose action')
+        return PoseAction(**of_arm, action=inside, **clamped)
 
-    def _indices_of(self, arm: str) -> IntArray:
+    def _of(self, arm: str) -> dict[str, Any]:
+        """Return what all commands for an arm have in common."""
         if arm not in self._settings:
             raise UnknownNameError('arm with a gripper', arm, self._settings)
-        return self._joints.indices_of(arm)
+        indices = self._joints.indices_of(arm)
+        return {'robot': self._robot, 'parts': self._joints.parts_of(indices),
+                'indices': indices, 'arm': arm}
 
 
 def _shortened(vector: FloatArray, limit: float) -> tuple[FloatArray, int]:

@@ -198,7 +198,12 @@ def read_thresholds(value: ArrayLike, limits: FloatArray) -> tuple[float, ...]:
             return ()
         if value == DEFAULT:
             return tuple((_DEFAULT_SHARE * limits).tolist())
-        value = _thresholds_of(value)
+        try:
+            value = numbers_of(value)
+        except ValueError:
+            raise CommandError(
+                f"thresholds of collisions must be '{OFF}', '{DEFAULT}', a number or one for each "
+                f'joint such as [20, 20, 10], got {format_value(value)}') from None
     if isinstance(value, (bool, int, float)):
         value = [positive_number(value, 'a limit', CommandError, or_zero=True)]
     numbers = command_numbers(value, 'thresholds of collisions')
@@ -209,15 +214,6 @@ def read_thresholds(value: ArrayLike, limits: FloatArray) -> tuple[float, ...]:
         raise CommandError(f'thresholds of collisions must be positive, or 0 for none, '
                            f'got {format_value(value)}')
     return tuple(thresholds.tolist()) if thresholds.any() else ()
-
-
-def _thresholds_of(text: str) -> list[float]:
-    try:
-        return numbers_of(text)
-    except ValueError:
-        raise CommandError(f"thresholds of collisions must be '{OFF}', '{DEFAULT}', a number or "
-                           f'one for each joint such as [20, 20, 10], '
-                           f'got {format_value(text)}') from None
 
 
 @dataclass(frozen=True)
@@ -404,13 +400,10 @@ class Reflexes:
             return 'the robot is in emergency stop; call recover'
         if self.is_recovering:
             return _RECOVERS
-        if not self.tripped:
-            return None
-        stopped = [part for part in self.tripped if part in command.parts]
-        if not stopped:
-            return None
-        return (f'{stopped[0]} was stopped by a reflex: {self.tripped[stopped[0]]}; '
-                'call reset_reflex')
+        for part, reason in self.tripped.items():
+            if part in command.parts:
+                return f'{part} was stopped by a reflex: {reason}; call reset_reflex'
+        return None
 
     @property
     def safety_state(self) -> str:

@@ -155,6 +155,9 @@ class Commands(RowByRow):
     """
     Commands for joints, grippers and bases, with the method names of ``robot.parse``.
 
+    Each takes ``where``, a mask of the worlds that it is for, and ``period_s``, the length of a
+    control period [s], None for that of the last one.
+
     :param robots: the robot in each world
     :param table: ``Physics.standing`` of each world, shape (count, 5)
     :param timestep_s: length of a physics step [s]
@@ -176,7 +179,6 @@ class Commands(RowByRow):
         :param part: such as ``arm`` or ``right/gripper``
         :param action: in [-1, 1] for each actuator of the part, or each dof of the gripper, shape
             (count, n)
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a shape is wrong or a number is not finite
         :raises UnknownNameError: if the part is unknown
         """
@@ -208,7 +210,6 @@ class Commands(RowByRow):
         :param velocity: goals of the joints in velocity mode [rad/s or m/s], shape (count, n)
         :param effort: goals of the joints in effort mode [N m or N], shape (count, n)
         :param part: whose joints may be named; None for all
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a joint is unknown or named twice, or the numbers do not match
         """
         columns = self._columns(part or 'joint_command', position=position, velocity=velocity,
@@ -246,7 +247,6 @@ class Commands(RowByRow):
         :param stiffness: [N m/rad or N/m], shape (count,) for all joints, or (count, n)
         :param damping: [N m s/rad or N s/m], shape (count,) for all joints, or (count, n)
         :param part: whose joints may be named; None for all
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: as ``robot.parse.joint_impedance``
         """
         columns = self._columns(part or 'joint_impedance', position=position, velocity=velocity,
@@ -344,7 +344,6 @@ class Commands(RowByRow):
         :param times_s: of the points, from the start, the same in all worlds [s]
         :param positions: [rad or m], shape (count, n_points, n)
         :param velocities: [rad/s or m/s], of that shape, or None
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: as ``robot.parse.trajectory``
         """
         goals = self._rows(positions, f'{part}: positions')
@@ -359,7 +358,6 @@ class Commands(RowByRow):
         Command a velocity of the mobile base, in its own frame, in each world.
 
         :param twist: along x and y [m/s] and about z [rad/s], shape (count, 3)
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a shape is wrong, a number is not finite, or no base has a mode
             that takes it
         """
@@ -374,6 +372,8 @@ class CartesianCommands(RowByRow):
     """
     Commands for the end effectors of arms, with the method names of ``robot.parse_cartesian``.
 
+    Each takes ``where`` and ``period_s``, as those for joints do.
+
     :param robots: the robot in each world
     :param table: ``Physics.standing`` of each world, shape (count, 5)
     :param timestep_s: length of a physics step [s]
@@ -387,7 +387,6 @@ class CartesianCommands(RowByRow):
         :param position: in the frame [m], shape (count, 3)
         :param quat_xyzw: in the frame, of length 1, shape (count, 4)
         :param frame: a link of the robot or a frame on one; empty for ``world``
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if the frame is unknown, or the numbers are not poses
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
@@ -402,7 +401,6 @@ class CartesianCommands(RowByRow):
         :param linear: [m/s], shape (count, 3)
         :param angular: [rad/s], shape (count, 3)
         :param frame: whose axes the velocity is in; empty for ``world``
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if the frame is unknown, or a number is not finite or too great
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
@@ -422,7 +420,6 @@ class CartesianCommands(RowByRow):
         :param distance: from where ``grip_site`` is now, which ends it [m]
         :param duration_s: simulation time that ends it [s]
         :param frame: whose axes the velocity is in; empty for ``world``
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: as ``robot.parse_cartesian.until_contact``
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
@@ -438,7 +435,6 @@ class CartesianCommands(RowByRow):
         :param force: that ``grip_site`` pushes with [N], shape (count, 3)
         :param torque: about ``grip_site`` [N m], shape (count, 3)
         :param frame: whose axes the wrench is in; empty for ``world``
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if the frame is unknown, a number is not finite, or the arm is not
             an impedance
         :raises UnknownNameError: if the arm is unknown or has no gripper
@@ -454,7 +450,6 @@ class CartesianCommands(RowByRow):
         :param selection: 1 for the axes that are chosen, else 0, shape (count, 6)
         :param wrench: force and torque there [N, N m], shape (count, 6)
         :param limits: velocities there [m/s, rad/s], shape (count, 6)
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: as ``robot.parse_cartesian.force_mode``
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
@@ -467,7 +462,6 @@ class CartesianCommands(RowByRow):
         Command an action of robosuite's OSC_POSE in each world.
 
         :param action: six numbers in [-1, 1]: along x, y, z and about x, y, z, shape (count, 6)
-        :param period_s: length of a control period [s]; None for that of the last one
         :raises CommandError: if a shape is wrong or a number is not finite
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """

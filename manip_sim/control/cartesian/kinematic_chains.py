@@ -16,11 +16,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from manip_sim.arrays import BoolArray, FloatArray, IntArray
+from manip_sim.algebra import matrix_of
+from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.law.records import Arm, CHAIN, readable
 from manip_sim.control.servos import Servos
 from manip_sim.derived import Derived
 from manip_sim.errors import UnknownNameError
+from manip_sim.examples.demonstration import Arm
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.parts import EndEffectorReader, Part
 from manip_sim.physics.payload import Payload
@@ -117,7 +119,7 @@ class Arms:
     def _make_arm(self, tip: Frame | None, indices: IntArray) -> Arm:
         servos, model, dofs = self._servos, self._physics.model, self._servos.dofs[indices]
         efforts, joints = servos.ranges['effort'][indices], np.zeros(len(indices), CHAIN)
-        moves = np.zeros(len(dofs), bool) if tip is None else _moving(model, tip.body)[dofs]
+        moves = np.isin(dofs, [] if tip is None else _chain(model, tip.body))
         for field, values in (
                 ('joint', indices), ('qpos', servos.qpos[indices]), ('dof', dofs),
                 ('moves', moves), ('low', self._low[indices]),
@@ -129,15 +131,6 @@ class Arms:
             joints[field] = values
         return Arm(readable(joints), places_of_inertia(model, dofs),
                    0 if tip is None else int(model.body_rootid[tip.body]))
-
-
-def _moving(model: mujoco.MjModel, body: int) -> BoolArray:
-    """Return which degrees of freedom move a body, shape (nv,)."""
-    bodies = {body}
-    while body:
-        body = int(model.body_parentid[body])
-        bodies.add(body)
-    return np.isin(model.dof_bodyid, list(bodies))
 
 
 class Payloads:
@@ -199,9 +192,7 @@ class Payloads:
         loads, places = np.zeros(len(carried), LOAD), np.zeros((len(carried), 3))
         inertias, chains = np.zeros((len(carried), 3, 3)), []
         for k, (payload, site) in enumerate(carried):
-            body, axes = int(model.site_bodyid[site]), np.empty(9)
-            mujoco.mju_quat2Mat(axes, model.site_quat[site])
-            turn = axes.reshape(3, 3)
+            body, turn = int(model.site_bodyid[site]), matrix_of(model.site_quat[site])
             loads[k] = body, model.body_rootid[body], payload.mass
             places[k] = model.site_pos[site] + _product(turn, np.array(payload.center_of_mass))
             inertias[k] = _product(_product(turn, payload.inertia_matrix), turn.T)
