@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ from manip_sim.validation import clamp, command_numbers
 #: So many streams of a robot are known at most.
 _MOST_STREAMS = 8
 _NO_WORLDS = np.zeros(0, np.int64)
+#: A robot in a world, and commands for it.
+_Parsed = tuple[SimulatedRobot, tuple[Command, ...]]
 
 
 class GoingOn:
@@ -79,11 +82,10 @@ class RowByRow:
 
     def _apply(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]],
                where: ArrayLike | None, period_s: float | None) -> None:
-        for robot, commands in self._parsed(parse, world_mask(where, len(self._robots))):
-            robot.apply(*commands, period_s=period_s)
+        _send(self._parsed(parse, world_mask(where, len(self._robots))), period_s)
 
     def _parsed(self, parse: Callable[[SimulatedRobot, int], Iterable[Command]], mask: BoolArray
-                ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:
+                ) -> list[_Parsed]:
         made = []
         for world in np.flatnonzero(mask).tolist():
             robot = self._robots[world]
@@ -110,14 +112,10 @@ class RowByRow:
         inside = mask & (np.abs(numbers) <= 1.0).all(axis=1)
         running, going_on = self._actions.setdefault(
             part, ({}, GoingOn(self._table, self._timestep_s)))
-        if np.isfinite(numbers).all():
-            worlds = going_on.find(inside, period_s, lambda world: (
-                address(self._robots[world], running[world]) if world in running else 0))
-            if len(worlds):
-                renew(going_on, worlds, running[worlds.item(0)].indices)
-            others = np.ones(len(mask), dtype=bool)
-            others[worlds] = False
-            mask, inside = mask & others, inside & others
+        worlds = going_on.find(inside, period_s, lambda world: (
+            address(self._robots[world], running[world]) if world in running else 0))
+        rest = mask.copy()
+        rest[worlds] = False
         # Where nothing has to be clamped or rejected, actions differ in nothing but numbers.
         command: Any = None
 
@@ -128,7 +126,10 @@ class RowByRow:
             command = command or parse(robot, numbers[world])
             running[world] = replace(command, action=numbers[world], handle=CommandHandle())
             return [running[world]]
-        self._apply(parsed, mask, period_s)
+        made = self._parsed(parsed, rest)
+        if len(worlds):
+            renew(going_on, worlds, running[worlds.item(0)].indices)
+        _send(made, period_s)
 
 
 class _Stream(NamedTuple):
@@ -214,23 +215,25 @@ class Commands(RowByRow):
         """
         columns = self._columns(part or 'joint_command', position=position, velocity=velocity,
                                 effort=effort)
-        mask, goal = world_mask(where, len(self._robots)), None
+        rest = world_mask(where, len(self._robots)).copy()
+        alike, worlds, stream, goal = np.zeros_like(rest), _NO_WORLDS, None, None
         if len(columns) == 1:
             (field, values), = columns.items()
-            mask = mask.copy()
-            mask[self._go_on(names, field, values, part, mask, period_s)] = False
-            if not mask.any():
-                return
-            goal, alike = self._alike(names, field, values, part, mask)
-        else:
-            alike = np.zeros_like(mask)
+            stream = self._stream(names, field, part)
+            if stream is not None and values.shape[1:] == stream.low.shape:
+                inside = ((values >= stream.low) & (values <= stream.high)).all(axis=1)
+                worlds = stream.going_on.find(
+                    rest & inside, period_s, partial(self._address, stream))
+                rest[worlds] = False
+            goal, alike = self._alike(names, field, values, part, rest)
         made = self._parsed(lambda robot, world: robot.parse.joint_command(
             names, part=part, **{field: values[world] for field, values in columns.items()}),
-            mask & ~alike)
+            rest & ~alike)
+        if stream is not None:
+            self._renew(stream, worlds, values, period_s)
         if goal is not None:
             made += self._begin(goal, values, alike)
-        for robot, commands in made:
-            robot.apply(*commands, period_s=period_s)
+        _send(made, period_s)
 
     def joint_impedance(self, names: Sequence[str], position: ArrayLike | None = None,
                         velocity: ArrayLike | None = None, effort: ArrayLike | None = None,
@@ -260,20 +263,24 @@ class Commands(RowByRow):
         return {field: self._rows(values, f'{label}: {field}')
                 for field, values in given.items() if values is not None}
 
-    def _go_on(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
-               mask: BoolArray, period_s: float | None) -> IntArray:
-        """Let commands that run in worlds that go on have other numbers; return where they do."""
+    def _stream(self, names: Sequence[str], field: str, part: str | None) -> _Stream | None:
+        """Return the stream of such goals that is known, or None."""
         try:
-            stream = self._going_on.get((*names, field, part))
+            return self._going_on.get((*names, field, part))
         except TypeError:  # The error is raised world by world, with a clear message.
-            stream = None
-        if stream is None or values.shape[1:] != stream.low.shape:
-            return _NO_WORLDS
-        inside = ((values >= stream.low) & (values <= stream.high)).all(axis=1)
-        if not inside.all() and np.isinf(values).any():  # No world may get a command then.
-            return _NO_WORLDS
-        worlds = stream.going_on.find(
-            mask & inside, period_s, lambda world: self._address(world, stream))
+            return None
+
+    def _address(self, stream: _Stream, world: int) -> int:
+        """Return the address of the row of a robot whose stream may have other numbers, or 0."""
+        robot, last, goal = self._robots[world], self._streams.get(world), stream.one
+        if last is None or last.indices is not goal.indices or last.modes is not goal.modes or (
+                robot.joints.modes != stream.modes):
+            return 0
+        return robot.streams(last)
+
+    def _renew(self, stream: _Stream, worlds: IntArray, values: FloatArray,
+               period_s: float | None) -> None:
+        """Let commands that run in worlds that go on have other numbers."""
         if period_s is not None:
             shares = [(worlds, float(period_s))]
         else:
@@ -284,15 +291,6 @@ class Commands(RowByRow):
         for share, length_s in shares:
             renew(self._table, stream.going_on.robots, share, stream.one.indices, values,
                   length_s, stream.velocities)
-        return worlds
-
-    def _address(self, world: int, stream: _Stream) -> int:
-        """Return the address of the row of a robot whose stream may have other numbers, or 0."""
-        robot, last, goal = self._robots[world], self._streams.get(world), stream.one
-        if last is None or last.indices is not goal.indices or last.modes is not goal.modes or (
-                robot.joints.modes != stream.modes):
-            return 0
-        return robot.streams(last)
 
     def _alike(self, names: Sequence[str], field: str, values: FloatArray, part: str | None,
                mask: BoolArray) -> tuple[JointSetpoint | None, BoolArray]:
@@ -325,9 +323,9 @@ class Commands(RowByRow):
         return goal, inside
 
     def _begin(self, goal: JointSetpoint, values: FloatArray, worlds: BoolArray
-               ) -> list[tuple[SimulatedRobot, tuple[Command, ...]]]:
+               ) -> list[_Parsed]:
         """Return such a command for some worlds, which these can go on with."""
-        made: list[tuple[SimulatedRobot, tuple[Command, ...]]] = []
+        made: list[_Parsed] = []
         for world in np.flatnonzero(worlds).tolist():
             begun = self._streams[world] = JointSetpoint(
                 robot=goal.robot, parts=goal.parts, indices=goal.indices, modes=goal.modes,
@@ -485,6 +483,11 @@ class CartesianCommands(RowByRow):
         self._apply(lambda robot, world: [parse(
             robot.parse_cartesian, arm, *[column[world] for column in columns], **common)],
             where, period_s)
+
+
+def _send(made: Iterable[_Parsed], period_s: float | None) -> None:
+    for robot, commands in made:
+        robot.apply(*commands, period_s=period_s)
 
 
 def world_mask(where: ArrayLike | None, count: int) -> BoolArray:

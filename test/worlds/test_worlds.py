@@ -793,6 +793,23 @@ def test_an_infinite_goal_lets_no_stream_have_other_numbers(pair, mode):
     pair.check_equal()
 
 
+@pytest.mark.parametrize('mode', ['position', 'velocity'])
+def test_a_world_in_another_mode_lets_no_stream_have_other_numbers(pair, mode):
+    start(pair, mode)
+    names = pair.simulations[0].robot.joint_names[:7]
+    goals = (pair.worlds.robot.state().position[:, :7] if mode == 'position'
+             else np.zeros((3, 7)))
+    for period in range(12):
+        pair._both('joint_command', (names,), None, **{mode: goals + 1e-4 * period})
+        pair.advance()
+    for simulation in (pair.worlds.simulations[2], pair.simulations[2]):
+        simulation.robot.set_control_mode('arm', 'effort')
+    with pytest.raises(CommandError, match='world 2: joint_command: joint .* is in effort mode'):
+        pair.worlds.robot.command.joint_command(names, **{mode: goals + 0.1})
+    pair.advance()
+    pair.check_equal()
+
+
 def test_states_that_do_not_fit_restore_no_world(pair):
     start(pair)
     before, states = pair.worlds.digest(), pair.worlds.save()
