@@ -245,7 +245,7 @@ class ControlledJoints:
 
         :raises UnknownNameError: if the part is unknown
         """
-        return int(self.setpoints.limited[self.indices_of(part)].sum())
+        return int(self.setpoints.counts[0, self.indices_of(part)].sum())
 
     def lost(self, part: str) -> int:
         """
@@ -253,7 +253,7 @@ class ControlledJoints:
 
         :raises UnknownNameError: if the part is unknown
         """
-        return int(self.setpoints.lost[self.indices_of(part)].max(initial=0))
+        return int(self.setpoints.counts[1, self.indices_of(part)].max(initial=0))
 
     def controller_state(self, part: str, data: mujoco.MjData, efforts: FloatArray
                          ) -> ControllerState:

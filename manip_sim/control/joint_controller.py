@@ -93,13 +93,11 @@ class CommandTimeouts:
     @property
     def pending(self) -> bool:
         """True if any part that is watched has a timeout."""
-        return bool(self._last_s) and any([self._timeout_s[part] for part in self._last_s])
+        return any([self._timeout_s[part] for part in self._last_s])
 
     @property
     def first_s(self) -> float:
         """Time at which the first part is overdue, or a little before [s]; infinite for none."""
-        if not self._last_s:
-            return math.inf
         return min([last_s + self._timeout_s[part] - 2e-9
                     for part, last_s in self._last_s.items() if self._timeout_s[part] > 0.0],
                    default=math.inf)
@@ -110,11 +108,8 @@ class CommandTimeouts:
 
         :param now_s: simulation time [s]
         """
-        parts = []
-        for part, last_s in self._last_s.items():
-            if 0.0 < self._timeout_s[part] <= now_s - last_s + 1e-9:
-                parts.append(part)
-        return parts
+        return [part for part, last_s in self._last_s.items()
+                if 0.0 < self._timeout_s[part] <= now_s - last_s + 1e-9]
 
     def count(self, part: str) -> None:
         """Count a timeout of a part, and stop watching it."""

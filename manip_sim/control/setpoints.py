@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
 import math
 from typing import Any
 
@@ -76,16 +75,6 @@ class SetpointGenerator:
             joints = records(self._state)
             self._derived.of['joints'] = self._state, joints
         return joints
-
-    @property
-    def limited(self) -> IntArray:
-        """Counts of streamed goals that required more than the velocity limit, shape (n,)."""
-        return np.asarray(self.counts[0])
-
-    @property
-    def lost(self) -> IntArray:
-        """Counts of messages of streams that seem to have been lost, shape (n,)."""
-        return np.asarray(self.counts[1])
 
     def _numbers_of(self, field: str) -> FloatArray:
         """Return a field of all joints, a view, sooner than :attr:`joints` does."""
@@ -223,9 +212,10 @@ class SetpointGenerator:
     def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
               stamp_s: float, velocities: bool) -> None:
         """Let goals wait until the next interval."""
+        from manip_sim.control.law.stream_timing import wait  # It imports numba.
         # Copies, as compiled code is for arrays that can be written.
-        _law_of_goals().wait(self.joints, np.array(indices), _numbers(goals), float(period_s),
-                             float(messages), float(stamp_s), velocities)
+        wait(self.joints, np.array(indices), _numbers(goals), float(period_s), float(messages),
+             float(stamp_s), velocities)
         self.moving = True
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
@@ -261,12 +251,6 @@ class SetpointGenerator:
             from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
             self.moving = advance(self.joints, self.counts, self.now_s, duration_s)
         self.now_s += duration_s
-
-
-@cache
-def _law_of_goals() -> Any:
-    from manip_sim.control.law import streams  # It imports numba.
-    return streams
 
 
 def _numbers(values: ArrayLike) -> FloatArray:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 import math
 
 import mujoco
@@ -96,11 +96,7 @@ class DirectControls:
             if len(values) not in (0, len(names)):
                 raise CommandError(f'{self._part}: expected {len(names)} numbers in {quantity}, '
                                    f'one for each name, or none, got {len(values)}')
-        return dict(self._controls(names, columns))
-
-    def _controls(self, names: Sequence[str], columns: dict[str, Sequence[float]]
-                  ) -> Iterator[tuple[str, float]]:
-        model = self._physics.model
+        model, controls = self._physics.model, {}
         for index, name in enumerate(names):
             accepted, actuator = self.control(name)
             for quantity, values in columns.items():
@@ -118,7 +114,8 @@ class DirectControls:
                 if abs(value) > mujoco.mjMAXVAL:
                     raise CommandError(f"{self._part}: {quantity} of '{name}' must be within "
                                        f'{mujoco.mjMAXVAL:g}, got {value:g}')
-                yield name, value
+                controls[name] = value
+        return controls
 
     def command(self, controls: Mapping[str, float]) -> None:
         """

@@ -273,7 +273,7 @@ def streamed(arrived_s, goals, step_s=0.002, seconds=6.0):
             taken += 1
         generator.advance(step_s)
         rows.append((generator.now_s, generator.position[0], generator.acceleration[0]))
-    return (*np.array(rows).T, int(generator.lost[0]))
+    return (*np.array(rows).T, int(generator.counts[1, 0]))
 
 
 def test_messages_that_come_fast_after_a_stall_are_late_and_not_lost():
