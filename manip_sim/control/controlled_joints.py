@@ -71,6 +71,8 @@ class ControlledJoints:
     """
     The joints that actuators drive, each with its servo, its setpoint and its control mode.
 
+    Methods that take the name of a part raise an ``UnknownNameError`` if there is none.
+
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; the parts of one arm and of both arms may overlap
     :param atomic: the names of the parts that do not overlap
@@ -123,11 +125,7 @@ class ControlledJoints:
         return self.servos.lowered
 
     def indices_of(self, part: str) -> IntArray:
-        """
-        Return the indices of a part's driven joints.
-
-        :raises UnknownNameError: if the part is unknown
-        """
+        """Return the indices of a part's driven joints."""
         if part not in self._indices_of:
             raise UnknownNameError('part', part, self._indices_of)
         return self._indices_of[part]
@@ -240,19 +238,11 @@ class ControlledJoints:
         return slowed, whole
 
     def limited(self, part: str) -> int:
-        """
-        Return how often streamed goals of a part required more than the velocity limits.
-
-        :raises UnknownNameError: if the part is unknown
-        """
+        """Return how often streamed goals of a part required more than the velocity limits."""
         return int(self.setpoints.counts[0, self.indices_of(part)].sum())
 
     def lost(self, part: str) -> int:
-        """
-        Return how many messages of a part's streams seem to have been lost before they came.
-
-        :raises UnknownNameError: if the part is unknown
-        """
+        """Return how many messages of a part's streams seem to have been lost before they came."""
         return int(self.setpoints.counts[1, self.indices_of(part)].max(initial=0))
 
     def controller_state(self, part: str, data: mujoco.MjData, efforts: FloatArray
@@ -261,7 +251,6 @@ class ControlledJoints:
         Return the reference and the measured state of a part's driven joints, copies.
 
         :param efforts: of all degrees of freedom [N m or N], shape (nv,)
-        :raises UnknownNameError: if the part is unknown
         """
         indices, setpoints = self.indices_of(part), self.setpoints
         gives = self.servos.gives_effort(indices)

@@ -227,6 +227,8 @@ class GripperController:
     with a drive each that press against each other stay equally open: the force of the one that
     is pushed in falls below the full force.
 
+    Times ``now_s`` are simulation time since the last reset [s].
+
     :param physics: of the world, whose position servos have a setpoint activation
     :param part: the gripper
     :param timestep_s: of the physics [s]
@@ -363,12 +365,7 @@ class GripperController:
                           / max(duration_s, self._timestep_s))
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
-        """
-        Abort a command; if it was the last one, all fingers stop, unless one of them presses.
-
-        :param handle: of the command
-        :param reason: why, for the handle
-        """
+        """Abort a command; if it was the last one, fingers stop, unless one of them presses."""
         withdrawn = self.commands.withdraw(handle, reason)
         if withdrawn.size and self._moving and not self._pressing.any():
             self._action, self._in_step = None, False
@@ -384,11 +381,7 @@ class GripperController:
         self._turned = True
 
     def begin_run(self, data: mujoco.MjData, now_s: float) -> Gripper:
-        """
-        Return the gripper for the compiled law; without a rule, call ``format_action`` if due.
-
-        :param now_s: simulation time since the last reset [s]
-        """
+        """Return the gripper for the law; without a rule, call ``format_action`` if due."""
         rule = self._rule
         if rule is no_rule():
             self._call_if_due(data, now_s)
@@ -500,11 +493,7 @@ class GripperController:
             command.handle.status, command.handle.error = Status.RUNNING, None
 
     def until_call(self, now_s: float) -> int | None:
-        """
-        Return after how many physics steps ``format_action`` is due again, or None.
-
-        :param now_s: simulation time since the last reset [s]
-        """
+        """Return after how many physics steps ``format_action`` is due again, or None."""
         if self._action is None or self._rule is not no_rule():
             return None
         due_s, half_s = self._call

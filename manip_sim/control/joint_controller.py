@@ -46,6 +46,8 @@ class CommandTimeouts:
     """
     The time of each part's last command, and how long it lasts without a fresh one.
 
+    Times ``now_s`` are simulation time [s].
+
     :param parts: names of parts that do not overlap; none has a timeout at first
     :ivar counts: number of timeouts of each part
     """
@@ -76,7 +78,6 @@ class CommandTimeouts:
         Restart the timeouts of parts.
 
         :param parts: those that have a fresh command
-        :param now_s: simulation time [s]
         """
         for part in parts:
             self._last_s[part] = now_s
@@ -103,11 +104,7 @@ class CommandTimeouts:
                    default=math.inf)
 
     def overdue(self, now_s: float) -> list[str]:
-        """
-        Return the parts whose last command is older than their timeout.
-
-        :param now_s: simulation time [s]
-        """
+        """Return the parts whose last command is older than their timeout."""
         return [part for part, last_s in self._last_s.items()
                 if 0.0 < self._timeout_s[part] <= now_s - last_s + 1e-9]
 
@@ -123,6 +120,11 @@ class JointController(ControlledJoints):
 
     A command owns the joints it names until a newer one names them. A joint in effort mode holds
     its position until it gets its first effort.
+
+    Times ``now_s`` are simulation time since the last reset [s], ``period_s`` is the length of a
+    control period [s].
+
+    Methods that take the name of a part raise an ``UnknownNameError`` if there is none.
 
     :param physics: of the world, prepared by ``add_setpoint_activation``, at the start
     :param parts: by name; the parts of one arm and of both arms may overlap
@@ -240,7 +242,6 @@ class JointController(ControlledJoints):
 
         :param timeout_s: simulation time [s]; 0 for no timeout
         :param ends_targets: whether it ends Cartesian targets too, which come to rest anyway
-        :raises UnknownNameError: if the part is unknown
         """
         for name in self.parts_of(self.indices_of(part)):
             self.command_timeouts.set(name, timeout_s)
@@ -254,7 +255,6 @@ class JointController(ControlledJoints):
         :param longest_s: longest interval between messages of a stream [s]; None: no change
         :param hold_s: how long a part goes on at the velocity of a stream of goals after one was
             due [s]; 0 for two message intervals; None: no change
-        :raises UnknownNameError: if the part is unknown
         """
         indices = self.indices_of(part)
         self.setpoints.set_stream(indices, longest_s, hold_s)
@@ -267,7 +267,6 @@ class JointController(ControlledJoints):
         Change the rate at which servos of a part take away errors that remain.
 
         :param gain: [1/s]; 0 for not at all
-        :raises UnknownNameError: if the part is unknown
         """
         if self.servos.set_integral_gain(self.indices_of(part), gain):
             self._write_again()
@@ -328,7 +327,6 @@ class JointController(ControlledJoints):
         :param parameters: of the law, shape (p,)
         :param compiled: whether it is compiled
         :raises ModelError: if it cannot be compiled, or act in this world
-        :raises UnknownNameError: if the part is unknown
         """
         self.indices_of(part)
         self.seats.check(law, compiled)
@@ -358,7 +356,6 @@ class JointController(ControlledJoints):
         Abort the commands of a part; its joints come to rest as after a change of mode.
 
         :param part: an atomic one
-        :param reason: why, for the handles of the commands
         """
         indices = self.indices_of(part)
         self.commands.release(indices, Status.ABORTED, reason)
@@ -418,9 +415,6 @@ class JointController(ControlledJoints):
         Apply a command, at the beginning of a control period.
 
         It loses joints whose control mode has changed since, and is aborted if none is left.
-
-        :param now_s: simulation time since the last reset [s]
-        :param period_s: length of the period [s]
         """
         self.setpoints.now_s = now_s
         meant = self._of_present_mode(command)
@@ -500,11 +494,7 @@ class JointController(ControlledJoints):
         return command.without(np.array(changed, dtype=np.int64)) if changed else command
 
     def apply_setpoint(self, command: JointSetpoint, period_s: float) -> None:
-        """
-        Let joints follow the goals of a command that has taken them.
-
-        :param period_s: length of a control period [s]
-        """
+        """Let joints follow the goals of a command that has taken them."""
         arrival = Arrival(period_s, command.messages, command.sent_s)
         modes = dict.fromkeys(command.modes)
         for mode in modes:
@@ -538,7 +528,6 @@ class JointController(ControlledJoints):
         Let trajectories be followed slower, along the same paths.
 
         :param scaling: share of their speed, from 0 to 1
-        :param now_s: simulation time since the last reset [s]
         """
         self.trajectories.clock.set(scaling, now_s)
 
@@ -548,11 +537,7 @@ class JointController(ControlledJoints):
 
     def trajectory_reference(self, handle: CommandHandle, now_s: float
                              ) -> TrajectoryReference | None:
-        """
-        Return what the joints of a trajectory that runs follow, or None.
-
-        :param now_s: simulation time since the last reset [s]
-        """
+        """Return what the joints of a trajectory that runs follow, or None."""
         return self.trajectories.reference(handle, now_s)
 
     def withdraw(self, handle: CommandHandle, data: mujoco.MjData, reason: str) -> None:
@@ -560,9 +545,6 @@ class JointController(ControlledJoints):
         Abort a command; joints that it was the last to take come to rest and stop pressing.
 
         They go where their acceleration limits let them stop from the measured motion.
-
-        :param handle: of the command
-        :param reason: why, for the handle
         """
         own = self.commands.withdraw(handle, reason)
         if not own.size:
@@ -579,8 +561,6 @@ class JointController(ControlledJoints):
         """
         Begin a control period; end position commands that are done and commands that timed out.
 
-        :param now_s: simulation time since the last reset [s]
-        :param period_s: length of the period [s]
         :param interval_s: length of its first interval, if setpoints move [s]
         """
         self.cartesian.period_s, self.cartesian.interval_s = period_s, interval_s
@@ -626,7 +606,6 @@ class JointController(ControlledJoints):
         Return the seats of the law that moves a part, one for each part that it consists of.
 
         :raises ModelError: if no law moves all of it
-        :raises UnknownNameError: if the part is unknown
         """
         indices = self.indices_of(part)
         modes = dict.fromkeys(self.modes_of(indices))
@@ -654,11 +633,7 @@ class JointController(ControlledJoints):
                 self.modes, now_s, duration_s, self.cartesian.period_s)
 
     def end_trajectories(self, data: mujoco.MjData, now_s: float) -> None:
-        """
-        End the trajectories that have come to an end.
-
-        :param now_s: simulation time since the last reset [s]
-        """
+        """End the trajectories that have come to an end."""
         for command in self.commands.of(JointTrajectory):
             position = self.trajectories.end(command, now_s)
             if position is not None:

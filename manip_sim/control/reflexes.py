@@ -250,6 +250,9 @@ class Reflexes:
 
     A part that was stopped refuses commands until :meth:`reset`.
 
+    Times ``now_s`` are simulation time since the last reset [s], ``period_s`` is the length of a
+    control period [s].
+
     :param physics: of the world
     :param parts: of the robot, by name
     :param joints: controller of their joints
@@ -340,12 +343,7 @@ class Reflexes:
 
     def check_command(self, command: Command, data: mujoco.MjData, now_s: float, period_s: float
                       ) -> None:
-        """
-        Stop the parts of which a command for positions or velocities demands too much.
-
-        :param now_s: simulation time since the last reset [s]
-        :param period_s: length of a control period [s]
-        """
+        """Stop the parts of which a command for positions or velocities demands too much."""
         joints, limits = self._joints, self._limits
         parts = [part for part in command.parts
                  if part in limits and limits[part].discontinuity]

@@ -282,6 +282,8 @@ class PathClock:
 
     The share changes gradually while anything follows a path, and else at once.
 
+    Times ``now_s`` and ``times_s`` are simulation time since the last reset [s].
+
     :param slew: how fast the share may change [1/s]
     :param leads: returns whether anything follows a path
     :ivar scaling: share of simulation time that it comes to, from 0 to 1
@@ -303,7 +305,6 @@ class PathClock:
         Let the time pass at another share.
 
         :param scaling: from 0 to 1
-        :param now_s: simulation time since the last reset [s]
         """
         if scaling == self.scaling:
             return  # Whoever goes on with it comes to the same bits.
@@ -368,6 +369,9 @@ class TrajectoryFollowing:
     """
     Trajectories that wait for their start, and those that lead setpoints.
 
+    Times ``now_s`` are simulation time since the last reset [s], ``period_s`` is the length of a
+    control period [s].
+
     :param setpoints: of all driven joints
     :param commands: that have not ended
     :param count: number of driven joints
@@ -397,9 +401,7 @@ class TrajectoryFollowing:
         Start the trajectories that are due in the next interval.
 
         :param modes: of all joints
-        :param now_s: simulation time since the last reset [s]
         :param duration_s: length of the interval [s]
-        :param period_s: length of a control period [s]
         """
         for command in list(self._commands.waiting):
             start_s = now_s if command.start_s is None else command.start_s
@@ -469,7 +471,6 @@ class TrajectoryFollowing:
         """
         Return the last position of the joints of a trajectory that has come to its end, or None.
 
-        :param now_s: simulation time since the last reset [s]
         :returns: shape (n,)
         """
         if not self._ends(command, now_s):
@@ -482,8 +483,6 @@ class TrajectoryFollowing:
         Return what the joints of a trajectory that runs follow, or None.
 
         Unlike the setpoints, they are not held back for joints that cannot keep up.
-
-        :param now_s: simulation time since the last reset [s]
         """
         for command in self._commands.of(JointTrajectory):
             if command.handle is handle:

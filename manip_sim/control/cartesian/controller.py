@@ -55,6 +55,8 @@ class CartesianController:
     setpoints go unless it exceeds the effort limits. In effort mode operational space control runs
     in every interval, on the measured joints.
 
+    Times ``now_s`` are simulation time [s].
+
     :param physics: of the world at the start, whose joint positions are the posture
     :param chains: by arm
     :param names: of the joints
@@ -195,7 +197,6 @@ class CartesianController:
         Start a command, at the beginning of a control period.
 
         :param data: after ``mj_forward``
-        :param now_s: simulation time [s]
         :param goes_on: whether the end effector had a target until now
         """
         streamed = before = self._targets.get(command.arm)
@@ -295,8 +296,6 @@ class CartesianController:
         Let this control period solve anew, and check whether the arm's mount has moved.
 
         A motion until contact ends here.
-
-        :param now_s: simulation time [s]
         """
         target = self._targets[command.arm]
         if isinstance(command, GuardedTwist) and target.guard is not None:
@@ -352,7 +351,6 @@ class CartesianController:
         Return the targets of commands for the compiled law.
 
         :param commands: of the arms, two at most
-        :param now_s: simulation time [s]
         :param durations_s: lengths of intervals [s], shape (k,)
         :param begins_s: returns when they begin, simulation time [s], shape (k,)
         :returns: the targets, and for how many intervals they are known
