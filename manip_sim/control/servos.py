@@ -100,22 +100,28 @@ class Servos:
         self._gear: FloatArray = model.actuator_gear[ids, 0].copy()
         stiffness, damping = stiffness_and_damping(model, ids, self.dofs)
         self._stiffness, self._damping = stiffness * self._gear**2, damping * self._gear**2
-        passive = np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0]
+        passive = self._damping_of_model()
         self.passive_damping: FloatArray = passive.copy()
         self._highest = gains_are_highest
         self.lowered: tuple[str, ...] = ()
-        self._stabilize(np.asarray(
-            np.isfinite(effort_range(model, joint_ids, ids)).all(axis=1)))
+        efforts = effort_range(model, joint_ids, ids)
+        has_limit: BoolArray = np.asarray(np.isfinite(efforts).all(axis=1))
+        self._stabilize(has_limit)
         self._gains_of_model = self._stiffness.copy(), self._damping.copy()
         #: Effort per velocity that lets a joint move as fast as its setpoint.
         self._drag = self._damping + passive
         self.limited: BoolArray = model.jnt_limited[joint_ids].astype(bool)
         turns = model.jnt_type[joint_ids] == int(mujoco.mjtJoint.mjJNT_HINGE)
         self.turn: FloatArray = np.where(turns & ~self.limited, 2.0 * np.pi, 0.0)
-        self.ranges = {'position': self._position_range(joint_ids),
-                       'effort': self._limit_effort(joint_ids)}
         velocity = velocity_limit(model, joint_ids, ids)
-        self.ranges['velocity'] = np.stack([-velocity, velocity], axis=1)
+        self.ranges: dict[str, FloatArray] = {
+            'position': np.where(self.limited[:, None], model.jnt_range[joint_ids], _UNLIMITED),
+            'velocity': np.stack([-velocity, velocity], axis=1),
+            'effort': np.where(np.isfinite(efforts), efforts,
+                               (-_UNLIMITED_EFFORT, _UNLIMITED_EFFORT))}
+        # The limit is set at the joint, where it includes the gravity compensation.
+        model.jnt_actfrcrange[joint_ids[has_limit]] = efforts[has_limit]
+        model.jnt_actfrclimited[joint_ids[has_limit]] = 1
         torque = np.abs(self.ranges['effort']).max(axis=1)
         # The torque that the weight leaves has to overcome the joint's own damping.
         spare = np.maximum(torque - np.abs(data.qfrc_bias[self.dofs]), 0.2 * torque)
@@ -151,11 +157,13 @@ class Servos:
 
     def refresh_joint_parameters(self) -> None:
         """Take over damping and dry friction of the joints, which were changed in the model."""
-        model = self._physics.model
-        self.passive_damping[:] = np.asarray(model.dof_damping).reshape(model.nv, -1)[
-            self.dofs, 0]
+        self.passive_damping[:] = self._damping_of_model()
         self._drag = self._damping + self.passive_damping
         self._derived.of.clear()
+
+    def _damping_of_model(self) -> FloatArray:
+        model = self._physics.model
+        return np.asarray(np.asarray(model.dof_damping).reshape(model.nv, -1)[self.dofs, 0])
 
     def _stabilize(self, limited: BoolArray) -> None:
         """Lower gains that are too high for the timestep."""
@@ -176,21 +184,6 @@ class Servos:
         """Return the inertia of joints while the others are free, their lowest."""
         inverse = self._physics.model.dof_invweight0[self.dofs[indices]]
         return np.asarray(1.0 / np.maximum(inverse, 1e-12))
-
-    def _position_range(self, joint_ids: IntArray) -> FloatArray:
-        limits: FloatArray = self._physics.model.jnt_range[joint_ids].copy()
-        limits[~self.limited] = _UNLIMITED
-        return limits
-
-    def _limit_effort(self, joint_ids: IntArray) -> FloatArray:
-        # The limit is set at the joint, where it includes the gravity compensation.
-        model = self._physics.model
-        limits = effort_range(model, joint_ids, self._ids)
-        limited = np.isfinite(limits).all(axis=1)
-        limits = np.where(np.isfinite(limits), limits, (-_UNLIMITED_EFFORT, _UNLIMITED_EFFORT))
-        model.jnt_actfrcrange[joint_ids[limited]] = limits[limited]
-        model.jnt_actfrclimited[joint_ids[limited]] = 1
-        return limits
 
     @property
     def velocity_limit(self) -> FloatArray:
