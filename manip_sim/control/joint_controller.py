@@ -510,7 +510,7 @@ class JointController(ControlledJoints):
 
     def go_at(self, indices: IntArray, velocity: FloatArray, arrival: Arrival) -> None:
         """Let setpoints come to a velocity, or follow a stream of them [rad/s or m/s]."""
-        self.setpoints.go_at(indices, velocity, *arrival)
+        self.setpoints.go_to(indices, velocity, *arrival, are_velocities=True)
 
     def exert(self, indices: IntArray, effort: FloatArray) -> None:
         """Exert an effort, and no longer follow setpoints [N m or N]."""

@@ -152,7 +152,8 @@ class SetpointGenerator:
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
         from manip_sim.control.law.setpoint_motion import set_state  # It imports numba.
-        set_state(self.joints, np.array(indices), _numbers(position), _numbers(velocity))
+        set_state(self.joints, np.array(indices), np.array(position, np.float64),
+                  np.array(velocity, np.float64))
         self.moving = True
 
     def set_velocity(self, indices: IntArray, velocity: FloatArray) -> None:
@@ -162,7 +163,7 @@ class SetpointGenerator:
         :param velocity: [rad/s or m/s], shape of ``indices``
         """
         from manip_sim.control.law.setpoint_motion import set_velocity  # It imports numba.
-        set_velocity(self.joints, np.array(indices), _numbers(velocity))
+        set_velocity(self.joints, np.array(indices), np.array(velocity, np.float64))
         self.moving = True
 
     def brake(self, indices: IntArray) -> None:
@@ -183,39 +184,22 @@ class SetpointGenerator:
         joints['bound'][indices] = np.maximum(joints['bound'][indices], slope)
         joints['acceleration'][indices] = -np.sign(velocity) * slope
 
-    def go_at(self, indices: IntArray, velocity: FloatArray, period_s: float,
-              messages: int = 1, stamp_s: float = 0.0) -> None:
+    def go_to(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int = 1,
+              stamp_s: float = 0.0, are_velocities: bool = False) -> None:
         """
-        Let setpoints come to a velocity; velocities that come regularly are followed as a stream.
-
-        :param velocity: [rad/s or m/s], shape of ``indices``
-        :param period_s: length of a control period [s]
-        :param messages: how many messages came since the last call, of which this is the last
-        :param stamp_s: when it was sent, by any clock [s]; 0: unknown
-        """
-        self._wait(indices, velocity, period_s, messages, stamp_s, True)
-
-    def go_to(self, indices: IntArray, goal: FloatArray, period_s: float, messages: int = 1,
-              stamp_s: float = 0.0) -> None:
-        """
-        Let setpoints come to a position; goals that come regularly are followed as a stream.
+        Let setpoints come to goals; goals that come regularly are followed as a stream.
 
         Of several goals at one instant the newest counts.
 
-        :param goal: [rad or m], shape of ``indices``
+        :param goals: positions [rad or m], or velocities [rad/s or m/s], shape of ``indices``
         :param period_s: length of a control period [s]
         :param messages: how many messages came since the last call, of which this is the last
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        self._wait(indices, goal, period_s, messages, stamp_s, False)
-
-    def _wait(self, indices: IntArray, goals: FloatArray, period_s: float, messages: int,
-              stamp_s: float, velocities: bool) -> None:
-        """Let goals wait until the next interval."""
         from manip_sim.control.law.stream_timing import wait  # It imports numba.
         # Copies, as compiled code is for arrays that can be written.
-        wait(self.joints, np.array(indices), _numbers(goals), float(period_s), float(messages),
-             float(stamp_s), velocities)
+        wait(self.joints, np.array(indices), np.array(goals, np.float64), float(period_s),
+             float(messages), float(stamp_s), are_velocities)
         self.moving = True
 
     def come_back(self, indices: IntArray, goal: FloatArray) -> None:
@@ -251,11 +235,6 @@ class SetpointGenerator:
             from manip_sim.control.law.setpoint_motion import advance  # It imports numba.
             self.moving = advance(self.joints, self.counts, self.now_s, duration_s)
         self.now_s += duration_s
-
-
-def _numbers(values: ArrayLike) -> FloatArray:
-    """Return numbers as the law takes them, of one type and writable."""
-    return np.array(values, dtype=np.float64)
 
 
 def _evenly_braked(velocity: FloatArray, position: FloatArray, low: FloatArray, high: FloatArray,

@@ -8,15 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from manip_sim.control.cartesian.cartesian_settings import CartesianSettings, FRAMES
-from manip_sim.control.modes import default_mode, MODES
+from manip_sim.control.modes import default_mode, LAWS, MODES
 from manip_sim.control.reflexes import DEFAULT, OFF
 from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
-from manip_sim.control.user_laws import LAWS
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
 from manip_sim.physics.payload import Payload
-from manip_sim.sensing.settings import QUANTITIES
+from manip_sim.sensing.sensor_noise import QUANTITIES
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
 _BASE_TIMEOUT_S = 0.5

@@ -227,7 +227,7 @@ def test_a_joint_keeps_its_limit_after_a_fast_stream_though_others_move(commands
         elif commands == 'velocities' and (now_s < 1.0 or k == 250):
             # At last it brakes before the end of its range.
             velocity = 0.6 * np.sin(63.0 * now_s) if now_s < 1.0 else 1.5
-            setpoints.go_at(ONE, np.array([velocity]), PERIOD_S)
+            setpoints.go_to(ONE, np.array([velocity]), PERIOD_S, are_velocities=True)
         one.advance(*INTERVALS_S)
     assert np.abs(one.acceleration[one.time < 1.0]).max() > 3.0 * A
     assert np.abs(one.acceleration[one.time > 2.0]).max() <= A * (1.0 + 1e-9)
@@ -419,7 +419,7 @@ def test_setpoint_is_placed_within_its_range_where_nothing_moves_on(velocity):
     lambda setpoints: setpoints.set_velocity(ONE, np.zeros(1)),
     lambda setpoints: setpoints.come_back(ONE, np.array([0.2])),
     lambda setpoints: setpoints.go_to(ONE, np.array([0.2]), PERIOD_S),
-    lambda setpoints: setpoints.go_at(ONE, setpoints.velocity, PERIOD_S),
+    lambda setpoints: setpoints.go_to(ONE, setpoints.velocity, PERIOD_S, are_velocities=True),
     lambda setpoints: setpoints.brake(ONE),
 ], ids=['stop', 'come back', 'go to', 'go on', 'brake'])
 def test_setpoint_too_fast_for_the_rest_of_its_range_slows_down_evenly_in_it(begins, sign):

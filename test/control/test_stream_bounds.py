@@ -79,8 +79,8 @@ def followed(transport, goals, sent, period_s, interval_s, mode='position', stam
         now_s = setpoints.now_s = period * period_s
         while next_one < len(number) and arrival[next_one] <= now_s:
             last = number[next_one]
-            take = setpoints.go_to if mode == 'position' else setpoints.go_at
-            take(JOINTS, goals[last], period_s, 1, 1e5 + sent[last] if stamped else 0.0)
+            setpoints.go_to(JOINTS, goals[last], period_s, 1, 1e5 + sent[last] if stamped else 0.0,
+                            are_velocities=mode != 'position')
             next_one += 1
         for _ in range(pieces):
             setpoints.advance(period_s / pieces)

@@ -324,8 +324,9 @@ setpoints = SetpointGenerator(np.tile([-0.5, 0.5], (3, 1)), np.full(3, 2.0), np.
 for period in range(150):
     if random.random() < 0.8:
         goals = 0.6 * np.sin(period * np.array([0.02, 0.03, 0.05])) + random.normal(0.0, 1e-3, 3)
-        take = setpoints.go_at if 60 < period < 90 else setpoints.go_to
-        take(np.arange(3), goals, 0.01, 1, 1.0 + 0.01 * period if period > 110 else 0.0)
+        setpoints.go_to(np.arange(3), goals, 0.01, 1,
+                        1.0 + 0.01 * period if period > 110 else 0.0,
+                        are_velocities=60 < period < 90)
     for duration_s in (0.004, 0.004, 0.002):
         setpoints.advance(duration_s)
     digest.update(setpoints._state.tobytes())
@@ -344,8 +345,8 @@ def test_compiled_laws_give_the_same_bits_as_plain_python():
 
 @pytest.mark.full
 @pytest.mark.parametrize('seed', range(6))
-@pytest.mark.parametrize('mode', ['go_to', 'go_at'])
-def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):
+@pytest.mark.parametrize('are_velocities', [False, True])
+def test_joints_follow_alike_whichever_of_them_share_a_message(are_velocities, seed):
     # Some joints start later, pause, and come twice; the oracle has each of them alone.
     random, count = np.random.default_rng(seed), 5
     limits = np.array([[-3.0, 3.0]]), np.array([2.2]), np.array([15.0])
@@ -355,18 +356,21 @@ def test_joints_follow_alike_whichever_of_them_share_a_message(mode, seed):
     for joint in (1, 3):
         alone[joint].set_stream(JOINT, longest_s=0.5, hold_s=0.03)
     begin, pause = random.integers(0, 30, (2, count))
+
+    def go_to(setpoints, joints, goals):
+        setpoints.go_to(joints, goals, PERIOD_S, are_velocities=are_velocities)
     for period in range(90):
         awake = (period >= begin) & ((period < 30 + pause) | (period >= 45 + pause // 4))
         goals = 0.1 * np.sin(0.1 * period * (1 + np.arange(count)))
         joints = random.permutation(np.flatnonzero(awake))
         for message in np.split(joints, np.sort(random.integers(0, count, 2))):
-            getattr(together, mode)(message, goals[message], PERIOD_S)
+            go_to(together, message, goals[message])
         if random.random() < 0.2 and joints.size:
-            getattr(together, mode)(joints[:1], goals[joints[:1]], PERIOD_S)
-            getattr(alone[joints[0]], mode)(JOINT, goals[joints[:1]], PERIOD_S)
+            go_to(together, joints[:1], goals[joints[:1]])
+            go_to(alone[joints[0]], JOINT, goals[joints[:1]])
         for joint, generator in enumerate(alone):
             if awake[joint]:
-                getattr(generator, mode)(JOINT, goals[[joint]], PERIOD_S)
+                go_to(generator, JOINT, goals[[joint]])
         for generator in (together, *alone):
             for _ in range(2):
                 generator.advance(PERIOD_S / 2)

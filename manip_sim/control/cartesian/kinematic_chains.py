@@ -22,7 +22,6 @@ from manip_sim.control.law.records import Arm, CHAIN, readable
 from manip_sim.control.servos import Servos
 from manip_sim.derived import Derived
 from manip_sim.errors import UnknownNameError
-from manip_sim.examples.demonstration import Arm
 from manip_sim.models.robots import RobotModel
 from manip_sim.physics.parts import EndEffectorReader, Part
 from manip_sim.physics.payload import Payload
