@@ -37,15 +37,21 @@ class Solution(NamedTuple):
     rests: bool
 
 
+def blank(state):
+    """Return arrays for velocities of the joints of an arm."""
+    count = len(state.position)
+    return Velocities(np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool))
+
+
 def approach(jacobian, error, state, interval_s, linear_velocity, angular_velocity):
-    result, still = Velocities.of(len(state.position)), np.zeros(6)
+    result, still = blank(state), np.zeros(6)
     return Solution(result.velocity, result.held, *law.approach(
         jacobian, error, state, interval_s, linear_velocity, angular_velocity, still, still,
         False, 0.0, False, result))
 
 
 def follow_twist(jacobian, twist, state, interval_s):
-    result = Velocities.of(len(state.position))
+    result = blank(state)
     return Solution(result.velocity, result.held, *law.follow_twist(
         jacobian, twist, state, interval_s, False, result))
 

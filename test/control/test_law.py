@@ -223,7 +223,8 @@ def test_jacobian_and_inertia_of_the_law_are_those_of_mujoco(name):
     arms = robot.joints.cartesian._arms
     for name, chain in robot.joints.cartesian._chains.items():
         indices = robot.joints.indices_of(name)
-        arm, motion = arms.arm(chain.tip, indices), Motion.of(len(indices))
+        arm, count = arms.arm(chain.tip, indices), len(indices)
+        motion = Motion(np.zeros(count), np.zeros(6), np.zeros(6), np.zeros(count, dtype=bool))
         joints = arm.joints.copy()
         joints['weakest'], joints['strongest'] = -np.inf, np.inf
         arm = arm._replace(joints=joints)

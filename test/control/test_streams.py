@@ -121,6 +121,16 @@ def test_stamps_tell_the_velocity_of_a_sender_that_is_not_even():
             assert estimator.velocity == pytest.approx(0.15, rel=1e-6)
 
 
+def test_a_stream_has_its_velocity_where_up_to_eight_messages_in_a_row_have_no_stamps():
+    random, estimator, velocities = np.random.default_rng(2), Estimator(), []
+    for number in range(400):
+        sent_s = number * PERIOD_S
+        estimator.take_one(0.15 * sent_s, sent_s + random.uniform(0.0, 0.002),
+                           stamp_s=1e5 + sent_s if number % 10 < 2 else 0.0)
+        velocities.append(estimator.velocity)
+    assert velocities[20:] == pytest.approx([0.15] * 380, rel=0.05)
+
+
 def followed(sent_s, arrived_s, step_s=0.002, amplitude=0.2, omega=np.pi, steps=1, noise=None):
     """
     Return ratio, ripple and hardest acceleration of setpoints that follow a sine, to its.

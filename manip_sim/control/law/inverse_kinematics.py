@@ -23,8 +23,7 @@ from manip_sim.control.law.compiling import compiled, inlined, inner
 from manip_sim.control.law.records import ArmMotion, Velocities
 from manip_sim.control.law.setpoint_motion import braking_velocity
 from manip_sim.control.law.small_matrices import (
-    clip, dot, factorize, minimize_in_box, multiply, multiply_matrices, multiply_transposed, norm,
-    norm3, solve)
+    clip, dot, factorize, minimize_in_box, multiply, multiply_matrices, norm, norm3, solve)
 
 #: Tasks that need larger displacements of a joint are not possible here [rad].
 _LARGEST = 1.0
@@ -106,7 +105,7 @@ def displace(jacobian: FloatArray, task: FloatArray, low: FloatArray, high: Floa
             for k in range(6):
                 total += jacobian[k, i] * jacobian[k, j]
             square[i, j] = square[j, i] = total
-    multiply_transposed(jacobian, task, pull)
+    multiply(jacobian.T, task, pull)
     factorize(square, POSTURE, count, factor)
     if _find_unbounded(jacobian, task, low, high, away, square, pull, factor, wanted, step, drift):
         # Half of the task in a direction of hardly any motion would need more.
@@ -345,7 +344,7 @@ def find_bend(jacobian: FloatArray, step: FloatArray, result: FloatArray) -> Non
             turned[k] += step[j] * jacobian[3 + k, j]
     # Far from a singularity it turns so slowly that this is rarely needed.
     least = max(math.sqrt(square), _SMALLEST)
-    multiply_transposed(jacobian, direction, result)
+    multiply(jacobian.T, direction, result)
     for j in range(len(step)):
         result[j] = abs(result[j]) * norm(centripetal) * _NEAR / (least * least * least)
 

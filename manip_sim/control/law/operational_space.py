@@ -30,8 +30,8 @@ from manip_sim.control.law.inverse_kinematics import displace, project_free, way
 from manip_sim.control.law.loads import find_inertia, Loads
 from manip_sim.control.law.records import Arm, Goal, Motion, Spring
 from manip_sim.control.law.small_matrices import (
-    clip, diagonalize, dot, factorize, multiply, multiply_matrices, multiply_transposed, norm3,
-    rotation_vector, solve)
+    clip, diagonalize, dot, factorize, multiply, multiply_matrices, norm3, rotation_vector, solve,
+    solve_lower)
 from manip_sim.physics.physics import Kinematics, WorldArrays
 
 #: Stiffness towards the posture in the null space [1/s^2], critically damped; that of robosuite.
@@ -232,7 +232,7 @@ def impede(world: WorldArrays, loads: Loads, arm: Arm, place: FloatArray, turned
     multiply(jacobian, velocity, motion.twist)
     column = np.empty(count)
     for k in range(6):
-        _solve_lower(root, jacobian[k], column)
+        solve_lower(root, jacobian[k], count, column)
         for i in range(count):
             carried[i, k] = column[i]
     force, stiffness = np.zeros(count), np.zeros((count, count))
@@ -241,8 +241,10 @@ def impede(world: WorldArrays, loads: Loads, arm: Arm, place: FloatArray, turned
     if springs.null_stiffness > 0.0:
         _find_mobility(carried, _APART, mobility)
         _pull_to_posture(root, carried, mobility, springs.null_stiffness, away, force, stiffness)
-    flow = np.empty(count)  # Velocity with respect to that of the reference.
-    multiply_transposed(_lower(root), velocity, flow)
+    flow = np.zeros(count)  # Velocity with respect to that of the reference.
+    for i in range(count):
+        for j in range(i, count):
+            flow[i] += root[j, i] * velocity[j]
     _find_mobility(carried, _REGULAR, mobility)
     _go_along(carried, mobility, reference.along, -1.0, flow)
     _damp(stiffness, springs.damping_ratio, flow, duration, force)
@@ -257,26 +259,6 @@ def impede(world: WorldArrays, loads: Loads, arm: Arm, place: FloatArray, turned
         for j in range(i + 1):
             effort += root[i, j] * force[j]
         motion.efforts[i] = clip(effort, joint.weakest, joint.strongest)
-
-
-@inner
-def _solve_lower(root: FloatArray, vector: FloatArray, result: FloatArray) -> None:
-    """Write the solution of a system with a lower triangular matrix."""
-    for i in range(len(result)):
-        total = vector[i]
-        for k in range(i):
-            total -= root[i, k] * result[k]
-        result[i] = total / root[i, i]
-
-
-@inner
-def _lower(root: FloatArray) -> FloatArray:
-    """Return the lower triangle of a matrix."""
-    result = np.zeros(root.shape)
-    for i in range(len(root)):
-        for j in range(i + 1):
-            result[i, j] = root[i, j]
-    return result
 
 
 @inner
@@ -350,8 +332,8 @@ def _pull_to_posture(root: FloatArray, carried: FloatArray, mobility: FloatArray
     for j in range(count):
         for i in range(count):
             column[i] = 1.0 if i == j else 0.0
-        _solve_lower(root, column, column)
-        multiply_transposed(carried, column, shares)
+        solve_lower(root, column, count, column)
+        multiply(carried.T, column, shares)
         solve(mobility, shares, 6, shares)
         for i in range(count):
             free[i, j] = column[i]

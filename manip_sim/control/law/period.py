@@ -25,7 +25,7 @@ from manip_sim.control.law.seat import begin_all
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law.setpoint_motion import advance, drive_base, follow
 from manip_sim.control.law.stepping import (
-    begin_notes, compute_end, find_places, LastStep, Notes, notes_of, remember, take_steps, Watch)
+    compute_end, find_places, LastStep, Notes, notes_of, remember, take_steps, Watch)
 from manip_sim.control.law.streams import wait
 from manip_sim.physics.physics import (
     address_of, Addresses, BECAME, ENDED, Kinematics, PERIODS, ROW, STEPS, STOOD, WENT_ON,
@@ -267,13 +267,6 @@ PERIOD, SCRATCH = (Layout(example) for example in _example())
 _read_robot, _read_period, _read_scratch = ROBOT.reader(), PERIOD.reader(), SCRATCH.reader()
 
 
-@inner
-def _begin_robots(robots: IntArray) -> None:
-    """Let no setpoints have stopped yet."""
-    for row in robots:
-        _read_robot(row).moved_s[0] = -1.0
-
-
 @inlined
 def _act_all(addresses: Addresses, period: Period, place: int, now: float, duration: float,
              scratch: Kinematics) -> bool:
@@ -321,8 +314,9 @@ def _run(period: Period, scratch: ScratchArrays, passed: int) -> None:
     time, orders = period.time, period.orders
     if orders[BEGINS]:
         orders[RESUMES] = remember(addresses, period.watch, orders[RESUMES])
-    begin_notes(period.notes)
-    _begin_robots(period.robots)
+    period.notes.counts[:] = 0
+    for row in period.robots:
+        _read_robot(row).moved_s[0] = -1.0
     done, ends = 0, orders[ENDS] != 0
     for k in range(len(period.intervals)):
         steps, now = period.intervals[k], time.counts[1] * time.step_ns * 1e-9

@@ -236,11 +236,6 @@ class Motion(NamedTuple):
     twist: FloatArray
     held: BoolArray
 
-    @classmethod
-    def of(cls, count: int) -> Motion:
-        """Return arrays for a number of joints."""
-        return cls(np.zeros(count), np.zeros(6), np.zeros(6), np.zeros(count, dtype=np.bool_))
-
 
 class ArmMotion(NamedTuple):
     """
@@ -278,11 +273,6 @@ class Velocities(NamedTuple):
     velocity: FloatArray
     acceleration_limit: FloatArray
     held: BoolArray
-
-    @classmethod
-    def of(cls, count: int) -> Velocities:
-        """Return arrays for a number of joints."""
-        return cls(np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_))
 
 
 #: Actions of an arm: none, its joints are led to the target, it exerts efforts.

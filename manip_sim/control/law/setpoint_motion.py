@@ -265,7 +265,7 @@ def drive_base(world: WorldArrays, servos: Any, setpoints: Any, base: IntArray, 
         for i in range(3):
             before[i], limit[i] = setpoints[base[i]].velocity, setpoints[base[i]].limit
         _turn(before, -yaw, present)
-        ahead = _approach(present, wanted, limit, duration)
+        ahead = _come_nearer(present, wanted, limit, duration)
         _turn(ahead, yaw + (present[2] + ahead[2]) / 2.0 * duration, velocity)
         for i in range(3):
             limit[i] = max(limit[i], abs(velocity[i] - before[i]) / duration)
@@ -290,13 +290,8 @@ def _turn(twist: FloatArray, yaw: float, turned: FloatArray) -> None:
 
 
 @inner
-def _length(x: float, y: float) -> float:
-    return math.sqrt(x * x + y * y)
-
-
-@inner
-def _approach(present: FloatArray, wanted: FloatArray, limit: FloatArray, duration: float
-              ) -> FloatArray:
+def _come_nearer(present: FloatArray, wanted: FloatArray, limit: FloatArray, duration: float
+                 ) -> FloatArray:
     """
     Return the twist after an interval, on the straight line from the present to the wanted one.
 
@@ -304,12 +299,13 @@ def _approach(present: FloatArray, wanted: FloatArray, limit: FloatArray, durati
     twice the acceleration of turning if that is more.
     """
     linear = min(limit[0], limit[1])
-    turning = _length(present[0], present[1]) * abs(present[2])
+    turning = math.sqrt(
+        present[0] * present[0] + present[1] * present[1]) * abs(present[2])
     higher = max(linear, 2.0 * turning)
     most = min(linear, math.sqrt(higher * higher - turning * turning)) * duration
     twist = np.empty(3)
     along, aside = wanted[0] - present[0], wanted[1] - present[1]
-    distance = _length(along, aside)
+    distance = math.sqrt(along * along + aside * aside)
     share = most / distance if distance > most else 1.0
     twist[0], twist[1] = present[0] + share * along, present[1] + share * aside
     turn = limit[2] * duration

@@ -60,16 +60,6 @@ def multiply(matrix: FloatArray, vector: FloatArray, result: FloatArray) -> None
 
 
 @inner
-def multiply_transposed(matrix: FloatArray, vector: FloatArray, result: FloatArray) -> None:
-    """Write the transposed matrix x vector."""
-    for j in range(len(result)):
-        total = 0.0
-        for i in range(len(vector)):
-            total += matrix[i, j] * vector[i]
-        result[j] = total
-
-
-@inner
 def multiply_matrices(one: FloatArray, other: FloatArray, result: FloatArray) -> None:
     """Write the product of two matrices."""
     for i in range(result.shape[0]):
@@ -100,17 +90,23 @@ def factorize(matrix: FloatArray, added: float, count: int, factor: FloatArray) 
 
 
 @inner
+def solve_lower(factor: FloatArray, vector: FloatArray, count: int, result: FloatArray) -> None:
+    """Write the solution of a system with a lower triangular matrix; vectors may be one."""
+    for i in range(count):
+        total = vector[i]
+        for k in range(i):
+            total -= factor[i, k] * result[k]
+        result[i] = total / factor[i, i]
+
+
+@inner
 def solve(factor: FloatArray, vector: FloatArray, count: int, result: FloatArray) -> None:
     """
     Write the solution of a system whose matrix has a Cholesky factor; vectors may be one.
 
     :param count: of the first rows and columns that are used
     """
-    for i in range(count):
-        total = vector[i]
-        for k in range(i):
-            total -= factor[i, k] * result[k]
-        result[i] = total / factor[i, i]
+    solve_lower(factor, vector, count, result)
     for i in range(count - 1, -1, -1):
         total = result[i]
         for k in range(i + 1, count):

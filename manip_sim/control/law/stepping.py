@@ -242,13 +242,6 @@ def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
 
 
 @inner
-def begin_notes(notes: Notes) -> None:
-    """Begin to note what happens from now on."""
-    for tool in range(len(notes.counts)):
-        notes.counts[tool] = 0
-
-
-@inner
 def _touches(forces: FloatArray, first: int, end: int) -> bool:
     """Return whether any force on some bodies is not zero."""
     for body in range(first, end):

@@ -7,7 +7,8 @@ Streams of goals: when their messages were sent, where the goals are going, and 
 A stream is taken to be sent at even intervals, or at its stamps: a line through the arrivals, by
 least squares with a fading memory. Where goals follow the arrivals better, because the timer of
 the sender jitters, the times of sending lie between both. The goals are taken to be on a parabola,
-whose memory is as long as their noise demands.
+whose memory is as long as their noise demands. What fixed the constants is in a table of
+``docs/explanation/control.md``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ MEMORY = 40.0
 ATTACK, DECAY = 0.3, 0.03
 #: On schedule is a message that is less than this share of the interval off the line.
 ON_TIME = 0.05
-#: So many messages in a row show that a stream is on schedule, sent more slowly, or off its line.
+#: So many messages in a row show that a stream is on schedule, sent more slowly, off its line, or
+#: not stamped any more.
 TRUSTED = 8.0
 #: So many on schedule in a row show that changes of the velocity are those of the stream.
 SCHEDULED = 32.0
@@ -36,10 +38,8 @@ SCHEDULED = 32.0
 UNSURE = 0.15
 #: A goal that comes again in less than this share of the last interval is a copy.
 COPY = 0.7
-#: So many messages in a row without a stamp may be in a stamped stream; they are on schedule.
-GUESSED = 3.0
-#: Slack of ramps that is kept per message, and how much of the time of lost messages is in it.
-SLACK_KEPT, MISSED = 0.93, 1.5
+#: Share of the slack of ramps that is kept per message.
+SLACK_KEPT = 0.93
 #: Continuation of a stream after a message was due, unless set otherwise [intervals].
 HOLD = 2.0
 #: Velocity and acceleration of a stream may be so many times those before.
@@ -146,7 +146,7 @@ def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> b
     x = joints[members[0]]
     period, stamp, messages = x.waiting_period, x.waiting_stamp, x.waiting_messages
     guessed = 0.0
-    if stamp == 0.0 and x.stamp > 0.0 and x.number > 2.0 and x.guessed < GUESSED:
+    if stamp == 0.0 and x.stamp > 0.0 and x.number > 2.0 and x.guessed < TRUSTED:
         stamp, guessed = x.stamp + messages * x.interval / x.scale, x.guessed + 1.0
     live = goes_on(x, now, messages, stamp, velocities)
     since = max(now - x.arrived, 1e-9) if live else period
@@ -213,7 +213,7 @@ def take_time(joints: Any, members: IntArray, now: float, velocities: bool) -> b
     sent = due + share * (now - due)
     elapsed = max(sent - x.sent, 0.1 * since) if share > 0.0 else line if live else period
     slack = (1.0 - share) * max(SLACK_KEPT * x.slack if live else 0.0, min(
-        size + MISSED * max(line - max(interval, period), 0.0), 2.0 * interval))
+        size + max(line - max(interval, period), 0.0), 2.0 * interval))
     even = (live and max(size, jitter) < ON_TIME * interval
             and abs(line - messages * interval) < ON_TIME * interval)
     lasts = max(interval, period)
