@@ -21,7 +21,7 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError
 from manip_sim.physics.payload import Payload
-from manip_sim.physics.physics import Physics
+from manip_sim.physics.physics import ENDED, Physics
 from manip_sim.physics.uncollected_forces import has_fluid, UncollectedForces
 from manip_sim.validation import positive_number
 
@@ -180,6 +180,9 @@ class BodyForces:
     def reset(self, data: mujoco.MjData) -> None:
         """Forget the past."""
         self.restart(data)
+
+    def catch_up(self) -> None:
+        """Take over the last period of those that compiled code has run by itself."""
 
     @property
     def goes_on(self) -> bool:
@@ -377,7 +380,36 @@ class ExternalWrench(BodyForces):
     @property
     def goes_on(self) -> bool:
         """True if each period changes it, whether anything touches the tool or not."""
-        return self._filtered is not None or self.payload.mass > 0.0
+        return self._filtered is not None
+
+    def catch_up(self) -> None:
+        """
+        Take over the last period of those that compiled code has run by itself.
+
+        Nothing has touched the tool, so only a payload has changed its forces, by its momentum at
+        the beginning and at the end; where it was touched in the end, Python ends the period.
+        """
+        steps, _, periods, became, _ = self._physics.standing.tolist()
+        if not (self.payload.mass and steps and periods):
+            return
+        model, begin = self._physics.model, self._physics.places_at_begin()
+        mujoco.mj_comPos(model, begin)
+        mujoco.mj_comVel(model, begin)
+        self._momentum = self._present_momentum(begin)
+        if became != ENDED:
+            self.begin_period()
+            self.end_period(self._physics.data, steps, 0.0)
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean force and torque about the origin in world axes in the last control period."""
+        self.catch_up()
+        return super().mean
+
+    @property
+    def is_quiet(self) -> bool:
+        """True if nothing was recorded in the last period, or :meth:`catch_up` finds it anew."""
+        return self.payload.mass > 0.0 or super().is_quiet
 
     def read(self, data: mujoco.MjData) -> FloatArray:
         """

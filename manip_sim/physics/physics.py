@@ -171,9 +171,12 @@ class Physics:
     :ivar sizes: worlds with the same ones can share the scratch of a thread
     :ivar standing: numbers by :data:`STEPS` and those that follow it, shape (5,)
     :ivar catch_up: takes over what compiled code has done in such periods
+    :ivar places_at_begin: returns data with the kinematics at the beginning of the last period
     :ivar kept_dofs: where the degrees of freedom that stayed in the last change were in ``qvel``
         before it, and where they are now
     """
+
+    places_at_begin: Callable[[], mujoco.MjData]
 
     def __init__(self, plan: WorldPlan) -> None:
         self._adapt: list[Callable[[], None]] = []

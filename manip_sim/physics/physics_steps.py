@@ -149,6 +149,7 @@ class PhysicsSteps:
         self.tools: tuple[BodyForces, ...] = tuple(tools)
         self._laws, self.seats = tuple(laws), tuple(seats)
         self.measuring: Mapping[int, Callable[[], None]] = {}
+        physics.places_at_begin = self.places_at_begin
         physics.on_change(self._rebind)
 
     def refresh_joint_parameters(self) -> None:

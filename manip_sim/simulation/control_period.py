@@ -123,6 +123,8 @@ class ControlPeriods:
         standing, clock, begin_s = self._steps.physics.standing, self._clock, None
         if standing.item(PERIODS):
             begin_s = (clock.control_steps - standing.item(STEPS)) * clock.step_ns * 1e-9
+        for tool in self._steps.tools:
+            tool.catch_up()
         acting = dict(zip(*self._standing))
         for robot in self._robots:
             robot.runs.catch_up(acting.get(robot), begin_s)

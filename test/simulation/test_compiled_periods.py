@@ -179,6 +179,40 @@ def test_streams_of_end_effectors_are_those_of_python_steps_to_the_last_bit(
     assert len({digest for digest, *_ in found[0]}) == 100
 
 
+def wrenches_with_a_payload(every):
+    """Return wrenches of some periods, and digests, of an arm that streams and then presses."""
+    simulation, found = Simulation(compose('Panda', arena='table', cube=True)), []
+    robot, names = simulation.robot, simulation.robot.joints.names[:7]
+    home = robot.measured('arm')[:7]
+    for period in range(110):
+        if period == 5:
+            robot.set_payload('right', 0.6, [0.01, 0.02, 0.1], [0.01, 0.0, 0.0, 0.02, 0.0, 0.03])
+        if period == 40:
+            pose = robot.state().end_effectors['right'].pose
+            robot.apply(robot.parse_cartesian.pose(
+                'right', [*pose.position[:2], 0.78], pose.quat_xyzw), period_s=PERIOD_S)
+        elif period % 2 == 0 and period < 40:
+            goal = home + 0.002 * period * np.sin(0.1 * period * np.arange(1, 8))
+            robot.apply(*robot.parse.joint_command(names, position=goal), period_s=PERIOD_S)
+        simulation.advance(STEPS)
+        if period % every == 0:
+            wrench = robot.state().end_effectors['right'].external_wrench
+            found.append((*wrench.force, *wrench.torque))
+        if period % 25 == 0:
+            found.append(simulation.digest())
+    return found
+
+
+@pytest.mark.parametrize('every', [1, 7])
+def test_a_payload_goes_on_without_python_with_the_bits_of_python_steps(every, monkeypatch, runs):
+    found = wrenches_with_a_payload(every)
+    # Python looks where commands come, digests are taken, and the arm begins to touch the table.
+    assert 0 < len(runs) < 75 and not runs.count(0)
+    by_python(monkeypatch)
+    assert found == wrenches_with_a_payload(every)
+    assert abs(found[-1][2]) > 5.0 and len(set(found)) > 0.9 * len(found)
+
+
 def test_what_pushes_a_tool_is_not_left_out(runs):
     simulation = Simulation(compose('Panda', arena='table', cube=True))
     robot = simulation.robot
