@@ -30,7 +30,6 @@ from manip_sim.models import (
     Arena, arena_parameters, compose_robot, create_arena, set_model_path, World)
 from manip_sim.models.cameras import (
     chosen_cameras, described_cameras, described_lidars, ImageSettings)
-from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.robot_model import RobotModel, SUBSYSTEMS
 from manip_sim.models.user_files import AllowedRoots, parse_yaml, read_yaml
 from manip_sim.models.world import keyframe_names

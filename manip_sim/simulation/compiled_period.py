@@ -15,7 +15,7 @@ from manip_sim.arrays import BoolArray, FloatArray, IntArray
 from manip_sim.control.robot_runs import RobotRun, RunRoom
 from manip_sim.derived import Derived
 from manip_sim.physics.clock import Clock
-from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, ROW, Scratch
+from manip_sim.physics.physics import BECAME, EPOCH, PHYSICS, Scratch
 from manip_sim.physics.physics_steps import DivergenceWatch, PhysicsSteps
 from manip_sim.physics.state_dependent_terms import FloatingBases
 
@@ -24,7 +24,7 @@ _REMEMBERED = 64
 #: Compiled code runs so many steps at once, as there is room for notes of each.
 MOST_STEPS = 1000
 #: The number of a world that is the only one of its table.
-_ALONE = np.zeros(1, np.int64)
+ALONE = np.zeros(1, np.int64)
 #: No world of no table goes on by itself.
 _NONE = np.zeros((0, 5), np.int64), np.zeros(0, np.int64)
 
@@ -62,16 +62,18 @@ class CompiledPeriod:
     @property
     def may_step(self) -> bool:
         """True if compiled code may run steps."""
-        return bool(_stepping().may_step(self._steps.physics.data))
+        from manip_sim.control.law.stepping import may_step  # It imports numba.
+        return may_step(self._steps.physics.data)
 
-    def notes(self, steps: int) -> Any:
+    def _notes(self, steps: int) -> Any:
         """Return room for the notes of steps."""
+        from manip_sim.control.law.stepping import notes_of  # It imports numba.
         kept = self._steps.notes.of
         notes = kept.get(steps)
         if notes is None:
             if len(kept) == _REMEMBERED:
                 kept.clear()
-            notes = kept[steps] = _stepping().notes_of(
+            notes = kept[steps] = notes_of(
                 self._steps.physics.data, self._steps.tool_bodies, steps)
         return notes
 
@@ -91,7 +93,7 @@ class CompiledPeriod:
         self._derived.of['room'] = room
         room.orders[:] = begins, ends, (
             steps.begin_by_law() if begins else stepping and steps.take_resumes()), 0, stepping
-        notes = self._derived.of['notes'] = self.notes(left)
+        notes = self._derived.of['notes'] = self._notes(left)
         steps.efforts.refresh_rules()
         for run in runs:
             run.room.write(run.joints, run.targets, run.grippers)
@@ -138,9 +140,8 @@ class CompiledPeriod:
         :param efforts: room for the efforts
         :param rules: of their computation
         """
-        from manip_sim.control.law.compiling import Row
-        from manip_sim.control.law.period import (  # It imports numba.
-            PERIOD, Standing, Time, Weight)
+        from manip_sim.control.law.compiling import Row  # It imports numba.
+        from manip_sim.control.law.period import PERIOD, Standing, Time, Weight
         from manip_sim.control.law.stepping import LastStep, options_of, Watch, words_of
         steps, clock, physics = self._steps, self._clock, self._steps.physics
         model, data, addresses = physics.model, physics.data, physics.addresses
@@ -191,39 +192,23 @@ def _joined(*rows: IntArray) -> IntArray:
 
 
 @cache
-def _stepping() -> Any:
-    from manip_sim.control.law import stepping  # It imports numba.
-    return stepping
-
-
-@cache
 def _period() -> Any:
     from manip_sim.control.law import period  # It imports numba.
     return period
 
 
-def go_on(table: IntArray, worlds: IntArray, steps: int, scratch: Scratch) -> None:
+def go_on(rows: IntArray, table: IntArray, worlds: IntArray, steps: int, scratch: Scratch
+          ) -> None:
     """
     Let worlds go on as in their last periods, where Python has nothing to do for them.
 
+    :param rows: addresses of the rows of those that go on, shape (n,)
     :param table: ``Physics.standing`` of all worlds, shape (count, 5)
-    :param worlds: which of them go on, shape (n,)
+    :param worlds: which of them go on, shape (n,); :data:`ALONE` for one world
     :param steps: of the period
     :param scratch: of this thread and of these worlds
     """
-    _period().run_rows(table[:, ROW][worlds], table, worlds, steps, _row_in_thread(scratch))
-
-
-def go_on_alone(standing: IntArray, steps: int, scratch: Scratch) -> None:
-    """
-    Let a world go on as in its last period, if Python has nothing to do for it.
-
-    :param standing: ``Physics.standing``, of periods of so many steps
-    :param steps: of the period
-    :param scratch: of this thread and of this world
-    """
-    _period().run_rows(
-        standing[ROW:ROW + 1], standing[None], _ALONE, steps, _row_in_thread(scratch))
+    _period().run_rows(rows, table, worlds, steps, _row_in_thread(scratch))
 
 
 def is_loaded() -> bool:

@@ -14,10 +14,11 @@ from manip_sim.arrays import IntArray
 from manip_sim.control.robot_runs import RobotRun
 from manip_sim.errors import CommandError, DivergenceError
 from manip_sim.physics.clock import Clock
-from manip_sim.physics.physics import BECAME, ENDED, PERIODS, STEPS, STOOD, WENT_ON
+from manip_sim.physics.physics import BECAME, ENDED, PERIODS, ROW, STEPS, STOOD, WENT_ON
 from manip_sim.physics.physics_steps import PhysicsSteps
 from manip_sim.physics.state_dependent_terms import FloatingBases, SpringForces
-from manip_sim.simulation.compiled_period import CompiledPeriod, go_on_alone, is_loaded, MOST_STEPS
+from manip_sim.simulation.compiled_period import (
+    ALONE, CompiledPeriod, go_on, is_loaded, MOST_STEPS)
 from manip_sim.simulation.robot import SimulatedRobot
 from manip_sim.validation import whole_number
 
@@ -90,7 +91,8 @@ class ControlPeriods:
         steps = whole_number(steps, 1, 'steps', CommandError)
         physics = self._steps.physics
         if physics.standing.item(STEPS) == steps:
-            go_on_alone(physics.standing, steps, physics.scratch)
+            go_on(physics.standing[ROW:ROW + 1], physics.standing[None], ALONE, steps,
+                  physics.scratch)
             became = physics.standing.item(BECAME)
             if became == WENT_ON:
                 return

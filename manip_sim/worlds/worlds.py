@@ -31,7 +31,7 @@ from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
 from manip_sim.models.randomization import checked_seed
 from manip_sim.models.world import World
-from manip_sim.physics.physics import BECAME, ENDED, WENT_ON
+from manip_sim.physics.physics import BECAME, ENDED, ROW, WENT_ON
 from manip_sim.simulation import Simulation, SimulationState
 from manip_sim.simulation.compiled_period import go_on, load, run_prepared
 from manip_sim.startup import processors
@@ -184,7 +184,8 @@ class Worlds:
         """Run a control period in some worlds, all of which end it."""
         for places in _by_sizes([self.simulations[number] for number in numbers.tolist()]):
             alike = numbers[places]
-            go_on(self._table, alike, steps, self.simulations[alike[0]].physics.scratch)
+            go_on(self._table[:, ROW][alike], self._table, alike, steps,
+                  self.simulations[alike[0]].physics.scratch)
         others = numbers[self._table[:, BECAME][numbers] != WENT_ON]
         _advance([self.simulations[number] for number in others.tolist()], steps)
 

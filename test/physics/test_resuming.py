@@ -79,19 +79,19 @@ def count(monkeypatch):
         begins, _, resumes, *_ = period.orders.tolist()
         parts.extend(['mj_step2'] * (begins and resumes))
     monkeypatch.setattr(CompiledPeriod, 'run', ran)
-    advance, go_on, advanced = ControlPeriods.advance, control_period.go_on_alone, []
+    advance, go_on, advanced = ControlPeriods.advance, control_period.go_on, []
 
     def advancing(periods, steps):
         advanced[:] = [periods]
         advance(periods, steps)
 
-    def going_on(standing, *rest):
-        go_on(standing, *rest)
-        if standing[BECAME] != STOOD:
+    def going_on(rows, table, *rest):
+        go_on(rows, table, *rest)
+        if table[0, BECAME] != STOOD:
             _, _, resumes, *_ = advanced[0].compiled.orders.tolist()
             parts.extend(['', 'mj_step2', 'mj_implicit'][resumes:resumes + 1] * (resumes > 0))
     monkeypatch.setattr(ControlPeriods, 'advance', advancing)
-    monkeypatch.setattr(control_period, 'go_on_alone', going_on)
+    monkeypatch.setattr(control_period, 'go_on', going_on)
     return parts
 
 

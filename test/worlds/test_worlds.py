@@ -17,7 +17,7 @@ from robot_kinds import KINDS as ROBOT_KINDS
 
 from manip_sim.control.command_parser import CartesianParser, CommandParser
 from manip_sim.control.commands import Status
-from manip_sim.control.law import period as compiled
+from manip_sim.control.law import period as law_of_periods
 from manip_sim.control.modes import MODES as CONTROL_MODES
 from manip_sim.errors import (
     CommandError, DivergenceError, ManipSimError, ModelError, SimulationEnded, UnknownNameError)
@@ -423,9 +423,9 @@ def _delay(robot):
 def test_streams_go_on_in_worlds_in_which_nothing_has_changed(pair, mode, change, monkeypatch):
     start(pair, mode)
     names, renewed = pair.simulations[0].robot.joint_names[:7], []
+    renew = law_of_periods.renew
     start_at = pair.worlds.robot.state().position[:, :7] if mode == 'position' else 0.0
-    renew = compiled.renew
-    monkeypatch.setattr(compiled, 'renew', lambda table, robots, worlds, *rest: (
+    monkeypatch.setattr(law_of_periods, 'renew', lambda table, robots, worlds, *rest: (
         renewed.append(len(worlds)), renew(table, robots, worlds, *rest)))
     for period in range(12):
         if period == 5 and (mode == 'position' or change is not _wait_for_a_trajectory):
