@@ -58,12 +58,7 @@ def position_servos(model: mujoco.MjModel, actuators: ArrayLike) -> BoolArray:
 
 
 def position_servos_without_dynamics(spec: mujoco.MjSpec, names: Iterable[str]) -> list[str]:
-    """
-    Return the names of the position servos without activation dynamics.
-
-    :param spec: a ``mujoco.MjSpec``
-    :param names: of actuators
-    """
+    """Return the names of the position servos without activation dynamics."""
     none = int(mujoco.mjtDyn.mjDYN_NONE)
     return [name for name in names if is_position_servo(spec.actuator(name))
             and int(spec.actuator(name).dyntype) == none]

@@ -57,12 +57,7 @@ def roundings(model: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
 
 
 def describe_rounding(model: mujoco.MjModel, other: mujoco.MjModel) -> str:
-    """
-    Return a sentence on what the text of MJCF changes.
-
-    :param model: the ``mujoco.MjModel`` that was written
-    :param other: the model that was read again
-    """
+    """Return a sentence on what the text of MJCF changes."""
     differences = roundings(model, other)
     if not differences:
         return 'the text of MJCF gives this model to the last bit'
@@ -102,7 +97,14 @@ def pack(xml: str, assets: Mapping[str, bytes | str]) -> bytes:
         for attribute, value in element.items():
             if value and _NAMES_A_FILE.fullmatch(attribute):
                 element.set(attribute, files.name_in_archive(value))
-    return _zip({_MODEL: ElementTree.tostring(root), **files.contents})
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, 'w', zipfile.ZIP_DEFLATED) as archive:
+        for name, content in {_MODEL: ElementTree.tostring(root), **files.contents}.items():
+            info = zipfile.ZipInfo(name)  # Without the time of writing.
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, content)
+    return buffer.getvalue()
 
 
 class _Files:
@@ -117,7 +119,13 @@ class _Files:
     def name_in_archive(self, file: str) -> str:
         """Return the name in the archive of a file that the XML names."""
         if file not in self._name_of_file:
-            self._name_of_file[file] = self._add(PurePosixPath(file), self._read(file))
+            path, content = PurePosixPath(file), self._read(file)
+            key = (hashlib.sha256(content).hexdigest(), path.suffix.lower())
+            if key not in self._name_of_content:
+                name = self._free_name(re.sub(r'[^A-Za-z0-9._-]', '_', path.stem), key[1])
+                self._name_of_content[key] = name
+                self.contents[name] = content
+            self._name_of_file[file] = self._name_of_content[key]
         return self._name_of_file[file]
 
     def _read(self, file: str) -> bytes:
@@ -129,15 +137,6 @@ class _Files:
                              'the assets of the model')
         return read_file(Path(file), 'asset file')
 
-    def _add(self, file: PurePosixPath, content: bytes) -> str:
-        suffix = file.suffix.lower()
-        key = (hashlib.sha256(content).hexdigest(), suffix)
-        if key not in self._name_of_content:
-            name = self._free_name(re.sub(r'[^A-Za-z0-9._-]', '_', file.stem), suffix)
-            self._name_of_content[key] = name
-            self.contents[name] = content
-        return self._name_of_content[key]
-
     def _free_name(self, stem: str, suffix: str) -> str:
         # Some file systems, and MuJoCo's virtual one, do not distinguish upper and lower case.
         taken = {name.lower() for name in self.contents}
@@ -146,17 +145,6 @@ class _Files:
             number += 1
             name = f'{_FOLDER}/{stem}_{number}{suffix}'
         return name
-
-
-def _zip(contents: Mapping[str, bytes]) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, 'w', zipfile.ZIP_DEFLATED) as archive:
-        for name, content in contents.items():
-            info = zipfile.ZipInfo(name)  # Without the time of writing.
-            info.compress_type = zipfile.ZIP_DEFLATED
-            info.external_attr = 0o644 << 16
-            archive.writestr(info, content)
-    return buffer.getvalue()
 
 
 def load_archive(data: bytes) -> mujoco.MjModel:

@@ -122,7 +122,9 @@ def skip_missing(spec: mujoco.MjSpec, missing: Missing, file: Path) -> list[str]
     if not missing:
         return []
     infer_inertias_once(spec)
-    geoms = [(geom, error) for geom in spec.geoms if (error := _error_of(geom, missing))]
+    geoms = [(geom, error) for geom in spec.geoms if (
+        error := missing.get(('mesh', geom.meshname))
+        or missing.get(('height field', geom.hfieldname)))]
     masses = [_give_mass(body, [geom for geom, _ in geoms if geom.parent == body])
               for body in spec.bodies[1:] if _lacks_mass(body, geoms)]
     lost = [Lost(f'{"collision" if geom.contype or geom.conaffinity else "visual"} shape',
@@ -137,8 +139,11 @@ def skip_missing(spec: mujoco.MjSpec, missing: Missing, file: Path) -> list[str]
                 continue
             if kind in ('texture', 'skin'):
                 lost.append(Lost(kind, element.name, 'the model', error))
-            if kind == 'texture':
-                _take_off(spec, element.name)
+            if kind == 'texture':  # Materials have their own colour in place of it.
+                for material in spec.materials:
+                    for role, name in enumerate(list(material.textures)):
+                        if name == element.name:
+                            material.textures[role] = ''
             spec.delete(element)
     return [*map(LostShape, warnings_of(lost, file)), *_mass_notes(masses, file)]
 
@@ -153,10 +158,6 @@ def infer_inertias_once(spec: mujoco.MjSpec) -> None:
         for body in spec.bodies:
             body.explicitinertial, body.ipos = False, [np.nan] * 3
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-
-
-def _error_of(geom: Any, missing: Missing) -> MissingMeshError | None:
-    return missing.get(('mesh', geom.meshname)) or missing.get(('height field', geom.hfieldname))
 
 
 def _lacks_mass(body: Any, lost: list[tuple[Any, MissingMeshError]]) -> bool:
@@ -186,22 +187,12 @@ def _give_mass(body: Any, lost: list[Any]) -> tuple[str, float]:
 
 def _mass_notes(masses: list[tuple[str, float]], file: Path) -> list[str]:
     """Return which bodies have a guessed mass, in a sentence."""
-    if not masses:
-        return []
     named = ', '.join(f'{quoted(name)} {mass:.3g} kg' for name, mass in masses[:_NAMED_MASSES])
     more = f' and {len(masses) - _NAMED_MASSES} more' if len(masses) > _NAMED_MASSES else ''
     return [LostShape(
         f'guessed: the mass of {pluralize(len(masses), "body")} of {file} from the distance to '
         f'the next one, as it followed from missing meshes: {named}{more}; put the meshes there, '
-        'or give these bodies an <inertial>')]
-
-
-def _take_off(spec: mujoco.MjSpec, texture: str) -> None:
-    """Let materials have their own colour in place of a texture."""
-    for material in spec.materials:
-        for role, name in enumerate(list(material.textures)):
-            if name == texture:
-                material.textures[role] = ''
+        'or give these bodies an <inertial>')] if masses else []
 
 
 def check_suffix(kind: str, file: Path) -> None:
@@ -294,16 +285,11 @@ def resolve_files(spec: mujoco.MjSpec, file: Path, model: XmlModel | None = None
         reference.set_file(path.as_posix())
     spec.strippath = False
     if model is None and spec.assets:
-        _hold_all(spec)
-
-
-def _hold_all(spec: mujoco.MjSpec) -> None:
-    # When a spec that holds some files is attached, MuJoCo renames the others too and loses them.
-    held = dict(spec.assets)
-    for reference in references(spec):
-        if not _is_held(spec, reference):
-            held[reference.file] = read_file(Path(reference.file), f'{reference.kind} file')
-    spec.assets = held
+        # When a spec that holds some files is attached, MuJoCo renames the others too and loses
+        # them.
+        spec.assets = {**spec.assets, **{
+            reference.file: read_file(Path(reference.file), f'{reference.kind} file')
+            for reference in references(spec) if not _is_held(spec, reference)}}
 
 
 def _is_held(spec: mujoco.MjSpec, reference: Reference) -> bool:
@@ -318,13 +304,10 @@ def _find(reference: Reference, folders: list[AssetFolders], base_name_too: bool
     """Return the first place where the file exists, or the first place if it is in none."""
     name = reference.file
     names = [name, PurePosixPath(name).name] if base_name_too else [name]
-    return Files().first([place for folder in _own_first(reference, folders) for each in names
-                          for place in places(reference.kind, each, folder)])
-
-
-def _own_first(reference: Reference, folders: list[AssetFolders]) -> list[AssetFolders]:
     fitting = [f for f in folders if reference.element_name.startswith(f.prefix)]
-    return sorted(fitting, key=lambda folder: -len(folder.prefix))
+    own_first = sorted(fitting, key=lambda folder: -len(folder.prefix))
+    return Files().first([place for folder in own_first for each in names
+                          for place in places(reference.kind, each, folder)])
 
 
 def places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
@@ -337,18 +320,13 @@ def places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
     scheme, separator, rest = name.partition('://')
     if separator and scheme == 'file':
         yield Path(rest)
-    elif separator:
-        yield from _places_of_package(root, rest)
+    elif separator:  # A ROS package is a folder of that name above the model.
+        package, _, path = rest.partition('/')
+        for parent in (root, *root.parents):
+            if parent.name == package:
+                yield parent / path
+            if (parent / package).is_dir():
+                yield parent / package / path
         name = rest
     directory = folder.texturedir if kind == 'texture' else folder.meshdir
     yield Path(os.path.normpath(root / directory / name))
-
-
-def _places_of_package(root: Path, name: str) -> Iterator[Path]:
-    """Return where a file of a ROS package may be: in the folder of that name above the model."""
-    package, _, rest = name.partition('/')
-    for parent in (root, *root.parents):
-        if parent.name == package:
-            yield parent / rest
-        if (parent / package).is_dir():
-            yield parent / package / rest

@@ -233,21 +233,17 @@ def chosen_cameras(texts: Sequence[str], added: Sequence[CameraModel], model: mu
             camera = next(described)
             name, images = camera.name, camera.images
         else:
-            name, images = text, _images_of(model, text)
+            name, images = text, ImageSettings()
+            if name not in camera_names(model):
+                raise UnknownNameError('camera', name, camera_names(model))
+            if not _TOKEN.fullmatch(name):
+                raise ModelError(f'the camera {quoted(name)} cannot have a topic: its name must '
+                                 'consist of letters, digits and underscores, and not begin with '
+                                 'a digit')
+            width, height = model.cam_resolution[model.camera(name).id].tolist()
+            if (width, height) != (1, 1):  # MuJoCo's default.
+                images = ImageSettings(min(width, MAX_PIXELS), min(height, MAX_PIXELS))
         if name in chosen:
             raise ModelError(f'the camera {quoted(name)} is chosen twice')
         chosen[name] = images
     return chosen
-
-
-def _images_of(model: mujoco.MjModel, name: str) -> ImageSettings:
-    if name not in camera_names(model):
-        raise UnknownNameError('camera', name, camera_names(model))
-    if not _TOKEN.fullmatch(name):
-        raise ModelError(f'the camera {quoted(name)} cannot have a topic: its name must consist '
-                         'of letters, digits and underscores, and not begin with a digit')
-    width, height = model.cam_resolution[model.camera(name).id].tolist()
-    # MuJoCo's default resolution is 1 x 1.
-    if (width, height) == (1, 1):
-        return ImageSettings()
-    return replace(ImageSettings(), width=min(width, MAX_PIXELS), height=min(height, MAX_PIXELS))

@@ -109,12 +109,7 @@ def _value(polynomial: FloatArray, offset: float) -> float:
 
 
 def actuated_joints(model: mujoco.MjModel, actuator: int) -> list[int]:
-    """
-    Return the joints that an actuator acts on, through any transmission.
-
-    :param model: a compiled ``mujoco.MjModel``
-    :param actuator: id of the actuator
-    """
+    """Return the joints that an actuator acts on, through any transmission."""
     kind = int(model.actuator_trntype[actuator])
     target, reference = model.actuator_trnid[actuator].tolist()
     if kind in JOINT_TRANSMISSIONS:
@@ -158,8 +153,6 @@ def moved_joints(model: mujoco.MjModel) -> set[int]:
 
     That is an actuator, a spring, a constraint that fixes the joint, or a coupling (an equality of
     joints or tendons, or a loop that a connect or weld constraint closes) to such a joint.
-
-    :param model: a compiled ``mujoco.MjModel``
     """
     moved = {joint for actuator in range(model.nu) for joint in actuated_joints(model, actuator)}
     # A stiffness is one number or several, depending on the version of MuJoCo.
@@ -189,8 +182,8 @@ def _coupled(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
     for _, first, second in _equalities(model, _EQUALITY.mjEQ_TENDON):
         yield [*_tendon_joints(model, first),
                *(_tendon_joints(model, second) if second >= 0 else ())]
-    for equality, first, second in _equalities(model, _EQUALITY.mjEQ_CONNECT, _EQUALITY.mjEQ_WELD):
-        yield joints_between(model, *_tied_bodies(model, equality, first, second))
+    for equality, _, _ in _equalities(model, _EQUALITY.mjEQ_CONNECT, _EQUALITY.mjEQ_WELD):
+        yield joints_between(model, *tied_bodies(model, equality))
 
 
 def _fixed(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
@@ -198,14 +191,16 @@ def _fixed(model: mujoco.MjModel) -> Iterator[Iterable[int]]:
     for _, first, second in _equalities(model, _EQUALITY.mjEQ_JOINT):
         if second < 0:
             yield (first,)
-    for equality, first, second in _equalities(model, _EQUALITY.mjEQ_WELD):
-        bodies = _tied_bodies(model, equality, first, second)
+    for equality, _, _ in _equalities(model, _EQUALITY.mjEQ_WELD):
+        bodies = tied_bodies(model, equality)
         if any(not int(model.body_weldid[body]) or int(model.body_mocapid[body]) >= 0
                for body in bodies):
             yield joints_between(model, *bodies)
 
 
-def _tied_bodies(model: mujoco.MjModel, equality: int, first: int, second: int) -> tuple[int, int]:
+def tied_bodies(model: mujoco.MjModel, equality: int) -> tuple[int, int]:
+    """Return the bodies that a connect or weld constraint ties to each other, also at sites."""
+    first, second = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
     if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
         return int(model.site_bodyid[first]), int(model.site_bodyid[second])
     return first, second

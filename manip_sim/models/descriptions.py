@@ -115,16 +115,12 @@ def _explained(error: Any, keys: Iterable[str]) -> str:
         return f'unknown key {quoted(key)}: {describe_choices(key, keys)}'
     if error['type'] == 'missing':
         return f"needs '{key}'"
-    message = _MESSAGES.get(error['type'], _own_message)(error)
+    own = error.get('ctx', {}).get('error', error['msg'])
+    message = _MESSAGES.get(error['type'], lambda e: str(own))(error)
     if not key:
         return one_line(message)
     number = f'[{place[1]}]' if len(place) > 1 and place[1].isdigit() else ''
     return one_line(f"'{key}'{number} {message}, got {format_value(error['input'])}")
-
-
-def _own_message(error: Any) -> str:
-    reason = error.get('ctx', {}).get('error')
-    return str(reason) if reason is not None else str(error['msg'])
 
 
 def _length(error: Any) -> str:
@@ -499,68 +495,50 @@ class JointActuation:
     """
     The actuation of the joints of one subsystem.
 
-    :param catalogue: values by subsystem, as :func:`read_catalogue` returns them
-    :ivar friction: None for that of the model
-    :ivar torque_speed: None for the same torque at any speed
+    :param source: the subsystem and its robot, for messages
+    :param catalogue: values by kind, as :func:`read_catalogue` returns them
+    :param friction: ``catalogue``, or the keys of :class:`Friction`; None for that of the model
+    :param torque_speed: ``catalogue``, or the keys of :class:`TorqueSpeed`; None for the same
+        torque at any speed
     """
 
-    def __init__(self, joints: Sequence[str], source: str,
-                 catalogue: Mapping[str, Any] | None) -> None:
+    def __init__(self, joints: Sequence[str], source: str, catalogue: Mapping[str, Any] | None,
+                 friction: str | Mapping[str, Any] | None,
+                 torque_speed: str | Mapping[str, Any] | None) -> None:
         self.joints = list(joints)
-        self._source, self._catalogue = source, catalogue
-        self.friction: Friction | None = None
-        self.torque_speed: TorqueSpeed | None = None
+        self._source, self._catalogue = source, catalogue or {}
+        #: Each with one number for each joint, or None.
+        self._friction = self._chosen(Friction, friction, 'friction')
+        self._curve = self._chosen(TorqueSpeed, torque_speed, 'torque_speed')
+        static = self._friction.get('static')
+        if static is not None and (static < self._friction['coulomb']).any():
+            raise ModelError(f"friction of {source}: 'static' must be at least 'coulomb'")
+        if self._curve and (self._curve['no_load'] <= self._curve['knee']).any():
+            raise ModelError(f"torque_speed of {source}: 'no_load' must be above 'knee'")
 
-    def set_friction(self, friction: str | Mapping[str, Any]) -> None:
-        """
-        Choose the friction.
-
-        :param friction: ``catalogue``, or the keys of :class:`Friction`
-        """
-        values = self._chosen(friction, 'friction')
-        self.friction = checked(Friction, values, f'friction of {self._source}')
-        coulomb, static = (self.of_each(self.friction.coulomb, 'coulomb'),
-                           self.of_each(self.friction.static, 'static'))
-        for name in ('viscous', 'stribeck_velocity'):
-            self.of_each(getattr(self.friction, name), name)
-        if self.friction.static is not None and (static < coulomb).any():
-            raise ModelError(f"friction of {self._source}: 'static' must be at least 'coulomb'")
-
-    def set_torque_speed(self, curve: str | Mapping[str, Any]) -> None:
-        """
-        Choose the torque-speed curve.
-
-        :param curve: ``catalogue``, or the keys of :class:`TorqueSpeed`
-        """
-        values = self._chosen(curve, 'torque_speed')
-        self.torque_speed = checked(TorqueSpeed, values, f'torque_speed of {self._source}')
-        knee, no_load = (self.of_each(value, name) for name, value in (
-            ('knee', self.torque_speed.knee), ('no_load', self.torque_speed.no_load)))
-        if (no_load <= knee).any():
-            raise ModelError(f"torque_speed of {self._source}: 'no_load' must be above 'knee'")
-
-    def _chosen(self, choice: str | Mapping[str, Any], kind: str) -> Mapping[str, Any]:
-        if isinstance(choice, Mapping):
-            return choice
-        if not isinstance(choice, str):
-            raise ModelError(f'{kind} of {self._source} must be a mapping, '
-                             f'got {format_value(choice)}')
-        if choice != CATALOGUE:
-            raise UnknownNameError(f'{kind} of {self._source}', choice, ['none', CATALOGUE])
-        values = None if self._catalogue is None else self._catalogue.get(kind)
+    def _chosen(self, kind: type[Strict], choice: str | Mapping[str, Any] | None, key: str
+                ) -> dict[str, FloatArray]:
+        """Return numbers by name, for each joint, of those that are given."""
+        if choice is None:
+            return {}
+        source = f'{key} of {self._source}'
+        if isinstance(choice, str) and choice != CATALOGUE:
+            raise UnknownNameError(source, choice, ['none', CATALOGUE])
+        values = self._catalogue.get(key) if isinstance(choice, str) else choice
         if values is None:
-            raise ModelError(f'{kind} of {self._source}: the catalogue has none; give numbers')
-        return dict(values)
+            raise ModelError(f'{source}: the catalogue has none; give numbers')
+        if not isinstance(values, Mapping):
+            raise ModelError(f'{source} must be a mapping, got {format_value(values)}')
+        return {name: self.of_each(numbers, name) for name, numbers in
+                checked(kind, values, source).model_dump(exclude_none=True).items()}
 
-    def of_each(self, values: tuple[float, ...] | None, name: str) -> FloatArray:
+    def of_each(self, values: tuple[float, ...], name: str) -> FloatArray:
         """
-        Return one number for each joint, zeros for None, shape (n,).
+        Return one number for each joint, shape (n,).
 
         :raises ModelError: if the number of values fits neither one nor all joints
         """
         count = len(self.joints)
-        if values is None:
-            return np.zeros(count)
         if len(values) not in (1, count):
             raise ModelError(f"{self._source}: '{name}' needs 1 or {count} numbers, "
                              f'got {len(values)}')
@@ -568,25 +546,17 @@ class JointActuation:
 
     def attributes(self) -> list[tuple[str, FloatArray]]:
         """Return the attributes of joints in MJCF and their values, each of shape (n,)."""
-        friction = self.friction
-        if friction is None:
-            return []
-        attributes = [('frictionloss', self.of_each(friction.coulomb, 'coulomb'))]
-        if friction.viscous is not None:
-            attributes.append(('damping', self.of_each(friction.viscous, 'viscous')))
-        return attributes
+        return [(attribute, self._friction[name]) for attribute, name in (
+            ('frictionloss', 'coulomb'), ('damping', 'viscous')) if name in self._friction]
 
     def laws(self) -> list[FrictionLaw]:
         """Return what depends on the velocity, for each joint."""
-        friction, curve, count = self.friction, self.torque_speed, len(self.joints)
-        rows = [*np.zeros((2, count)), *np.full((3, count), math.inf)]
-        if friction is not None and friction.static is not None:
-            rows[0] = self.of_each(friction.coulomb, 'coulomb')
-            rows[1] = self.of_each(friction.static, 'static')
-            rows[2] = self.of_each(friction.stribeck_velocity, 'stribeck_velocity')
-        if curve is not None:
-            rows[3], rows[4] = (self.of_each(speed, '') for speed in (curve.knee, curve.no_load))
-        return [FrictionLaw(*(float(value) for value in values)) for values in zip(*rows)]
+        values = dict(self._curve)
+        if 'static' in self._friction:
+            values |= {name: self._friction[name]
+                       for name in ('coulomb', 'static', 'stribeck_velocity')}
+        return [FrictionLaw(**{name: float(numbers[joint]) for name, numbers in values.items()})
+                for joint in range(len(self.joints))]
 
 
 def single(value: float | Sequence[float], source: str) -> tuple[float, ...]:

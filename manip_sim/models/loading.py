@@ -334,7 +334,7 @@ def _explained(documents: Sequence[Document], error: Exception, file: Path) -> s
     kind = 'URDF' if documents[0].root.tag == 'robot' else 'MJCF'
     begin = f'{one_line(str(file))} is not {kind} that MuJoCo can read'
     if match is None:
-        return f'{begin}: {one_line(_joined(error))}'
+        return f'{begin}: {_one_line(error)}'
     problem, tag = match['what'], match['tag']
     unknown = _UNKNOWN.match(problem)
     place = ''
@@ -360,10 +360,6 @@ def with_remedy(message: str) -> str:
     remedy = next((advice for words, advice in _REMEDIES.items()
                    if re.search(words, message)), '')
     return f'{message}: {remedy}' if remedy else message
-
-
-def _joined(error: Exception) -> str:
-    return ', '.join(part.strip() for part in str(error).splitlines() if part.strip())
 
 
 #: Numbers that MuJoCo accepts from a file even if nan or inf, by the prefix of the field's name.

@@ -21,6 +21,7 @@ from manip_sim.errors import KindError, ModelError, UnknownNameError
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.loading import (
     compile_alone, compile_copy, compile_spec, load_spec, name_unnamed_elements)
+from manip_sim.models.registry import Registry
 from manip_sim.models.spec_edits import attach, check_prefix, name_main_default, TakenNames
 from manip_sim.models.user_files import read_yaml
 from manip_sim.resources import asset_path
@@ -84,12 +85,19 @@ class MujocoXMLModel:
     _prefix_word = ''
     _top_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     _horizontal_radius: float = 0.0
+    #: Of the kind of part, which registers classes when they are defined.
+    registry: ClassVar[Registry[Any] | None] = None
     #: True if others have the spec, so that it may be edited at any time.
     _spec_is_shared = False
     #: True if nothing that the spec refers to is missing, as it was compiled before.
     _refers_to_all = False
     #: True if :meth:`_check_declared` ran; else it does so before the part is put into a spec.
     _is_checked = True
+
+    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if registered and cls.registry is not None:
+            cls.registry.register(cls)
 
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         check_kind(fname, (str, PathLike), 'fname', 'the path of an MJCF file')
@@ -474,21 +482,15 @@ class CatalogueModel(MujocoXMLModel):
         :raises UnknownNameError: if it has a key that no attribute of the class reads
         """
         if '_data' not in vars(cls):
-            cls._data = _read(
-                asset_path(cls._kind, cls._folder).with_name('part.yaml'),
-                {attribute.key for base in cls.__mro__ for attribute in vars(base).values()
-                 if isinstance(attribute, FromYaml)})
+            file = asset_path(cls._kind, cls._folder).with_name('part.yaml')
+            known = {attribute.key for base in cls.__mro__ for attribute in vars(base).values()
+                     if isinstance(attribute, FromYaml)}
+            values = read_yaml(file) if file.is_file() else {}
+            for key in values:
+                if key not in known:
+                    raise UnknownNameError(f'key of {file}', key, known)
+            cls._data = values
         return cls._data
 
 
-@functools.cache
-def _load(file: Path) -> mujoco.MjSpec:
-    return load_spec(file)
-
-
-def _read(file: Path, keys: set[str]) -> dict[str, Any]:
-    values = read_yaml(file) if file.is_file() else {}
-    for key in values:
-        if key not in keys:
-            raise UnknownNameError(f'key of {file}', key, keys)
-    return values
+_load = functools.cache(load_spec)

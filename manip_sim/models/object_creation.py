@@ -65,7 +65,13 @@ def create_object(description: Description, files: Files | None = None) -> Objec
                          f'of a file, got {format_value(description)}')
     path = Path(description)
     if path.suffix not in YAML_SUFFIXES:
-        return _read(path, files=files)
+        if files is not None:
+            return object_from_model(load_self_contained(path, files))
+        notes: list[str] = []
+        spec = load_spec(path, notes)
+        item = ObjectModel(_own_name(spec), spec, str(path))
+        item.inferred += notes
+        return item
     objects = load_objects(path, files)
     if len(objects) != 1:
         raise ModelError(f'{path} must list one object here, it lists {len(objects)}')
@@ -214,16 +220,6 @@ def _file_spec(description: FileDescription, folder: Path, files: Files | None,
         file = folder / description.file
     return (load_spec(file, notes) if files is None
             else load_self_contained(file, files).load(notes)), str(file)
-
-
-def _read(file: Path, name: str | None = None, files: Files | None = None) -> ObjectModel:
-    if files is not None:
-        return object_from_model(load_self_contained(file, files), name)
-    notes: list[str] = []
-    spec = load_spec(file, notes)
-    item = ObjectModel(name or _own_name(spec), spec, str(file))
-    item.inferred += notes
-    return item
 
 
 def _own_name(spec: mujoco.MjSpec) -> str:

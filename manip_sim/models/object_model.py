@@ -76,7 +76,11 @@ class PlacedModel:
         name_unnamed_elements(spec)
         self._own_model = compile_spec(spec, self.origin)
         self._check_contents()
-        self._resolve_pose()
+        # :meth:`place` sets position and quaternion; nothing else may turn or move the root.
+        root, compiled = self._root, self._own_model.body(self._root.name)
+        root.pos, root.quat = compiled.pos, compiled.quat
+        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        root.set_frame(spec.worldbody.add_frame())
 
     def _check_root(self) -> None:
         world, rule = self._spec.worldbody, f'{self.kind} is one root body'
@@ -94,13 +98,6 @@ class PlacedModel:
 
     def _check_contents(self) -> None:
         """Reject what the compiled model must not have."""
-
-    def _resolve_pose(self) -> None:
-        # :meth:`place` sets position and quaternion; nothing else may turn or move the root.
-        root, compiled = self._root, self._own_model.body(self._root.name)
-        root.pos, root.quat = compiled.pos, compiled.quat
-        root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        root.set_frame(self._spec.worldbody.add_frame())
 
     @property
     def _root(self) -> Any:
@@ -160,7 +157,11 @@ class PlacedModel:
         :param taken: its names, if more objects are added
         :raises ModelError: if the spec has one of the names already
         """
-        self._check_own_names_are_free(spec)
+        kinds = [('body', spec.body), *([('geom', spec.geom)] if self._is_shape else ())]
+        for kind, find in kinds:
+            if find(self.name) is not None:
+                raise ModelError(f"{kind} '{self.name}' already exists, {self.origin} needs "
+                                 'another name')
         taken = taken or TakenNames(spec)
         copied = self._spec.copy()
         taken.add(copied, self._prefix, self.origin)
@@ -179,14 +180,6 @@ class PlacedModel:
     @property
     def _is_shape(self) -> bool:
         return [geom.name for geom in self._spec.geoms] == [SHAPE_GEOM]
-
-    def _check_own_names_are_free(self, spec: mujoco.MjSpec) -> None:
-        if spec.body(self.name) is not None:
-            raise ModelError(f"body '{self.name}' already exists, {self.origin} needs another "
-                             'name')
-        if self._is_shape and spec.geom(self.name) is not None:
-            raise ModelError(f"geom '{self.name}' already exists, {self.origin} needs another "
-                             'name')
 
     def compile(self) -> Any:
         """

@@ -59,7 +59,12 @@ class InitializationNoise:
         self.type = settings.get('type', TYPES[0])
         if self.type not in TYPES:
             raise UnknownNameError('type of initialization_noise', self.type, TYPES)
-        self.magnitude = _checked_magnitude(settings.get('magnitude', DEFAULT_MAGNITUDE))
+        magnitude = settings.get('magnitude', DEFAULT_MAGNITUDE)
+        if (isinstance(magnitude, bool) or not isinstance(magnitude, numbers.Real)
+                or not 0.0 <= float(magnitude) <= math.pi):
+            raise ModelError('magnitude of initialization_noise must be a number from 0 to '
+                             f'{math.pi:.4g}, got {format_value(magnitude)}')
+        self.magnitude = float(magnitude)
         self.seed = checked_seed(seed)
 
     def with_seed(self, seed: int | None) -> InitializationNoise:
@@ -87,14 +92,6 @@ class InitializationNoise:
         low, high = np.reshape(ranges, (-1, 2)).T
         noisy: FloatArray = np.clip(values + self.magnitude * noise, low, high)
         return noisy
-
-
-def _checked_magnitude(magnitude: Any) -> float:
-    if (isinstance(magnitude, bool) or not isinstance(magnitude, numbers.Real)
-            or not 0.0 <= float(magnitude) <= math.pi):
-        raise ModelError('magnitude of initialization_noise must be a number from 0 to '
-                         f'{math.pi:.4g}, got {format_value(magnitude)}')
-    return float(magnitude)
 
 
 def checked_seed(seed: Any) -> int:

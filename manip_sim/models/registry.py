@@ -9,8 +9,7 @@ Files are paths, those in folders of the user, Menagerie's and robosuite's.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 import importlib
 import importlib.util
 import inspect
@@ -83,16 +82,13 @@ class Registry(Generic[T]):
         name = self._key(cls)
         if name is None:
             return
-        if _importing and self._is_another(name, cls):
+        there = self._classes.get(name, cls)
+        if _importing and (there.__module__, there.__qualname__) != (
+                cls.__module__, cls.__qualname__):
             _LOGGER.warning('%s defines a %s %r, which is already registered and is kept',
                             _importing[-1], self.kind, name)
             return
         self._classes[name] = cls
-
-    def _is_another(self, name: str, cls: type[T]) -> bool:
-        there = self._classes.get(name)
-        return there is not None and (there.__module__, there.__qualname__) != (
-            cls.__module__, cls.__qualname__)
 
     def names(self) -> list[str]:
         """Return the names of all classes that can be created, sorted."""
@@ -186,11 +182,13 @@ class Registry(Generic[T]):
         return cls
 
     def _import(self, name: str, offer: Offer) -> type[T]:
-        with _importing_from(offer):
-            try:
-                cls = offer.load()
-            except ModelError as error:
-                raise ModelError(f'{self.kind} {error}') from error.__cause__
+        _importing.append(offer)
+        try:
+            cls = offer.load()
+        except ModelError as error:
+            raise ModelError(f'{self.kind} {error}') from error.__cause__
+        finally:
+            _importing.pop()
         if not (inspect.isclass(cls) and issubclass(cls, self._base)):
             raise ModelError(f'{self.kind} {offer} must be a class that derives from '
                              f'{self._base.__name__}, got {cls!r:.60}')
@@ -217,15 +215,6 @@ class Registry(Generic[T]):
                 self._missing[cls] = (f'its constructor must take {takes}, and have defaults for '
                                       f'all else ({error})')
         return self._missing[cls]
-
-
-@contextmanager
-def _importing_from(offer: Offer) -> Iterator[None]:
-    _importing.append(offer)
-    try:
-        yield
-    finally:
-        _importing.pop()
 
 
 def import_submodules(package: str, path: list[str]) -> None:
@@ -339,7 +328,11 @@ def _checkout_of_menagerie(model: str) -> Path | None:
     for variable in MENAGERIE_VARIABLES:
         root = os.environ.get(variable)
         if root:
-            folders = {entry.name: entry for entry in sorted(_folders_of(Path(root), variable))}
+            folder = Path(root).expanduser()
+            if not folder.is_dir():
+                raise ModelError(f'no such folder in {variable}: {folder}')
+            folders = {entry.name: entry for entry in sorted(folder.iterdir())
+                       if entry.is_dir() and any(entry.glob('*.xml'))}
             if model not in folders:
                 raise UnknownNameError(f'model of {variable} ({root})', model, folders)
             return folders[model]
@@ -348,13 +341,6 @@ def _checkout_of_menagerie(model: str) -> Path | None:
             if model and place.is_dir() and any(place.glob('*.xml')):
                 return place
     return None
-
-
-def _folders_of(root: Path, variable: str) -> list[Path]:
-    root = root.expanduser()
-    if not root.is_dir():
-        raise ModelError(f'no such folder in {variable}: {root}')
-    return [entry for entry in root.iterdir() if entry.is_dir() and any(entry.glob('*.xml'))]
 
 
 def _of_menagerie_package(model: str, file: str) -> tuple[Path, str]:

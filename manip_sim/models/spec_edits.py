@@ -313,7 +313,9 @@ def name_main_default(part_spec: mujoco.MjSpec) -> None:
 
 def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
     """Delete elements other than bodies, and the sensors and contact pairs that refer to them."""
-    deleted = {(_kind_of(element), element.name) for element in elements if element.name}
+    # The kind of an element such as an ``MjsJoint``.
+    deleted = {(int(getattr(mujoco.mjtObj, f'mjOBJ_{type(element).__name__[3:].upper()}')),
+                element.name) for element in elements if element.name}
     for sensor in [sensor for sensor in spec.sensors if deleted.intersection((
             (int(sensor.objtype), sensor.objname), (int(sensor.reftype), sensor.refname)))]:
         spec.delete(sensor)
@@ -322,11 +324,6 @@ def delete_elements(spec: mujoco.MjSpec, elements: list[Any]) -> None:
         spec.delete(pair)
     for element in elements:
         spec.delete(element)
-
-
-def _kind_of(element: Any) -> int:
-    """Return the ``mujoco.mjtObj`` of an element such as an ``MjsJoint``."""
-    return int(getattr(mujoco.mjtObj, f'mjOBJ_{type(element).__name__[3:].upper()}'))
 
 
 def rotate_actuators(actuators: list[mujoco.MjsActuator], count: int) -> None:

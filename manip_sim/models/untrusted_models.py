@@ -175,11 +175,7 @@ def load_self_contained(file: Path, files: Files, as_robot: bool = False) -> Sel
 def held_name(file: Path, content: bytes) -> str:
     """Return a name for the content of a file that no other content has."""
     stem = re.sub(r'[^A-Za-z0-9-]', '_', file.stem)[:40]
-    return f'{stem}_{_digest(content)}{file.suffix.lower()}'
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:16]
+    return f'{stem}_{hashlib.sha256(content).hexdigest()[:16]}{file.suffix.lower()}'
 
 
 def compile_held(texts: Mapping[str, str], assets: Mapping[str, bytes]) -> None:

@@ -439,7 +439,9 @@ def parse_yaml(content: str | bytes, source: str, loader: type[StrictLoader] = S
     try:
         values = yaml.load(content, Loader=loader)  # noqa: S506, a kind of SafeLoader
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
-        raise ModelError(f'{source} is invalid or unsafe YAML: {_on_one_line(error)}') from None
+        reason = ('it is nested too deeply' if isinstance(error, RecursionError) else
+                  one_line(', '.join(part.strip() for part in str(error).splitlines())))
+        raise ModelError(f'{source} is invalid or unsafe YAML: {reason}') from None
     if values is None:
         return {}
     if not isinstance(values, dict):
@@ -453,12 +455,6 @@ def parse_requested(content: bytes, source: str) -> dict[str, Any]:
         raise ModelError(f'{source} has {len(content)} bytes, and at most {_MAX_REQUESTED} are '
                          'read')
     return parse_yaml(content, source)
-
-
-def _on_one_line(error: Exception) -> str:
-    if isinstance(error, RecursionError):
-        return 'it is nested too deeply'
-    return one_line(', '.join(part.strip() for part in str(error).splitlines()))
 
 
 #: The elements that name files, or say where they are.
@@ -548,8 +544,16 @@ class XmlModel:
             raise ModelError(f'{one_line(str(file))} is not well-formed XML: {error}; correct it '
                              'there') from error
         if not self.root:
-            self._begin(root.tag, root.attrib)
-        self._follow_files(root)
+            if root.tag not in ('mujoco', 'robot'):
+                raise ModelError(
+                    f'{one_line(str(self._file))} is not a model: its root element is '
+                    f'<{root.tag[:60]}>, that of MJCF is <mujoco>, that of URDF is <robot>')
+            self.root, self.name = root.tag, root.get('model', '')
+        # Those of the files that it names are followed where these are read.
+        elements = [(root, None), *((child, parent) for parent in root.iter() for child in parent)]
+        for element, around in elements:
+            if element.tag in _FOLLOWED:
+                self._follow(element, around)
         self._chain.pop()
         return root
 
@@ -584,23 +588,9 @@ class XmlModel:
         parser.Parse(data, True)
         return builder.close()
 
-    def _follow_files(self, root: ElementTree.Element) -> None:
-        """Follow the elements of a file that name files, but not those of the files."""
-        elements = [(root, None), *((child, parent) for parent in root.iter() for child in parent)]
-        for element, parent in elements:
-            if element.tag in _FOLLOWED:
-                self._follow(element, parent)
-
     def _place(self, element: ElementTree.Element) -> str:
         file, line = self.origins[element]
         return f'{one_line(str(file))}, line {line}'
-
-    def _begin(self, tag: str, attributes: dict[str, str]) -> None:
-        if tag not in ('mujoco', 'robot'):
-            raise ModelError(f'{one_line(str(self._file))} is not a model: its root element is '
-                             f'<{tag[:60]}>, that of MJCF is <mujoco>, that of URDF is <robot>')
-        self.root = tag
-        self.name = attributes.get('model', '')
 
     def _follow(self, element: ElementTree.Element, parent: ElementTree.Element | None) -> None:
         tag, attributes = element.tag, element.attrib
@@ -613,7 +603,12 @@ class XmlModel:
                     f"no such included file: {self._place(element)} names it; put it there ('git "
                     "submodule update --init' does if it is of a submodule), or correct the name: "
                     f'{one_line(str(included))}')
-            _replace(element, parent, [*self._read(included, 'included file'), *element])
+            content = [*self._read(included, 'included file'), *element]
+            if parent is None:  # A root stays.
+                element[:] = content
+            else:
+                place = list(parent).index(element)
+                parent[place:place + 1] = content
         elif tag == 'model':
             if not file:
                 # After it MuJoCo hangs when it attaches another spec.
@@ -678,13 +673,3 @@ def _with_quotes(tag: re.Match[bytes]) -> bytes:
     """Return a tag with its values in quotes."""
     return _UNQUOTED.sub(lambda match: match[1] + b'"' + match[2] + b'"' if match[1] else match[0],
                          tag[0])
-
-
-def _replace(element: ElementTree.Element, parent: ElementTree.Element | None,
-             content: list[ElementTree.Element]) -> None:
-    """Put other elements in place of one; in a root, which is left out, in place of its own."""
-    if parent is None:
-        element[:] = content
-    else:
-        place = list(parent).index(element)
-        parent[place:place + 1] = content

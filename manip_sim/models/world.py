@@ -216,12 +216,9 @@ class World:
         """
         options = [part._spec.option for part in self._parts()]
         slip = max(options, key=lambda option: option.noslip_iterations)
-        if slip.noslip_iterations == 0:
-            spec.option.noslip_iterations = _NOSLIP_ITERATIONS
-            spec.option.noslip_tolerance = _NOSLIP_TOLERANCE
-        else:
-            spec.option.noslip_iterations = slip.noslip_iterations
-            spec.option.noslip_tolerance = slip.noslip_tolerance
+        spec.option.noslip_iterations, spec.option.noslip_tolerance = (
+            (slip.noslip_iterations, slip.noslip_tolerance) if slip.noslip_iterations
+            else (_NOSLIP_ITERATIONS, _NOSLIP_TOLERANCE))
         tolerances = {option.ccd_tolerance for option in options}
         tolerances.discard(mujoco.MjSpec().option.ccd_tolerance)
         spec.option.ccd_tolerance = min(tolerances, default=_CCD_TOLERANCE)
@@ -330,8 +327,13 @@ class World:
         if seed is not None:
             checked_seed(seed)
         start = self.exact_qpos(keyframe)
-        if self.noise is not None:
-            self._add_noise(start, self.noise.with_seed(seed))
+        if self.noise is None:
+            return start
+        noise = self.noise.with_seed(seed)
+        for number, robot in enumerate(self.robots):
+            ranges = {name: range_ for name, range_ in robot.joint_ranges.items() if name in start}
+            noisy = noise.added([start[name] for name in ranges], list(ranges.values()), number)
+            start.update(zip(ranges, noisy.tolist()))
         return start
 
     def exact_qpos(self, keyframe: str | None = None) -> dict[str, float]:
@@ -350,22 +352,13 @@ class World:
                 starts += [(gripper, gripper.init_qpos) for gripper in robot.grippers.values()]
             for part, qpos in starts:
                 start.update(start_by_joint(part.name, part.joints, qpos))
-        self._add_keyframe(start, self.keyframe if keyframe is None else keyframe)
-        return start
-
-    def _add_keyframe(self, start: dict[str, float], keyframe: str) -> None:
-        self.checked_keyframe(keyframe)
-        for part in self._parts():
-            places = part.keyframes.get(keyframe, {}) if not isinstance(part, ObjectModel) else {}
-            of_arena = part is self.arena
+        keyframe = self.checked_keyframe(self.keyframe if keyframe is None else keyframe)
+        for source in self._parts():
+            places = {} if isinstance(source, ObjectModel) else source.keyframes.get(keyframe, {})
+            of_arena = source is self.arena
             # A hand of the file may have been taken off.
             start.update({joint: at for joint, at in places.items() if joint in start or of_arena})
-
-    def _add_noise(self, start: dict[str, float], noise: InitializationNoise) -> None:
-        for number, robot in enumerate(self.robots):
-            ranges = {name: range_ for name, range_ in robot.joint_ranges.items() if name in start}
-            noisy = noise.added([start[name] for name in ranges], list(ranges.values()), number)
-            start.update(zip(ranges, noisy.tolist()))
+        return start
 
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
@@ -374,12 +367,7 @@ _CARRIED = ('arm', 'torso', 'head')
 
 
 def compensate_mounted_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) -> None:
-    """
-    Let actuators of robots without a free root carry their links, and parts mounted on them.
-
-    :param spec: the ``mujoco.MjSpec`` of a world, changed in place
-    :param robots: the robots in it
-    """
+    """Let actuators of robots without a free root carry their links, and parts mounted on them."""
     for _, bodies in _robots(spec, robots, free=False):
         for body in bodies:
             if body.gravcomp:  # Not the actuators carry it, but what the file stands for.
@@ -395,7 +383,6 @@ def compensate_free_robots(spec: mujoco.MjSpec, robots: Iterable[RobotModel]) ->
 
     :param spec: the ``mujoco.MjSpec`` of a world, changed in place; its model needs
         ``FloatingBases`` in each step
-    :param robots: the robots in it
     """
     driven = {actuator.target for actuator in spec.actuators}
     for robot, bodies in _robots(spec, robots, free=True):
@@ -479,7 +466,11 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     if isinstance(robot, ManipulatorModel):
         _add_grippers(robot, gripper, idn)
     if tactile:
-        _add_tactile_sensors(robot)
+        grippers = [part for part in robot.models if isinstance(part, GripperModel)]
+        if not any([gripper.add_tactile_sensors() for gripper in grippers]):
+            names = ' and '.join(dict.fromkeys(gripper.name for gripper in grippers))
+            raise ModelError("'tactile' needs a gripper with pads, which are boxes or capsules "
+                             f'that touch sensors enclose, and {names or robot.name} has none')
     return robot
 
 
@@ -522,14 +513,6 @@ def _naming_its_robot(robot: RobotModel, kind: str, is_default: bool) -> Iterato
             raise
         raise ModelError(f'the default {kind} of {robot.name}: {error}; parts of your own are '
                          'found in the folders of MANIP_SIM_PATH') from error
-
-
-def _add_tactile_sensors(robot: RobotModel) -> None:
-    grippers = [part for part in robot.models if isinstance(part, GripperModel)]
-    if not any([gripper.add_tactile_sensors() for gripper in grippers]):
-        names = ' and '.join(dict.fromkeys(gripper.name for gripper in grippers))
-        raise ModelError("'tactile' needs a gripper with pads, which are boxes or capsules that "
-                         f'touch sensors enclose, and {names or robot.name} has none')
 
 
 def _add_grippers(robot: ManipulatorModel, gripper: Gripper | Grippers, idn: int | str) -> None:

@@ -100,7 +100,6 @@ def position_at(robot: RobotModel, arena: str, table_length_m: float) -> FloatAr
     """
     Return the place that a robot declares for an arena, in ``world`` [m], else zero, shape (3,).
 
-    :param arena: its name
     :param table_length_m: edge of its table along x [m]
     """
     placement = robot.placement_in(arena)
@@ -124,11 +123,6 @@ class Arena(MujocoXMLModel):
 
     arena_name: ClassVar[str]
     parameters: ClassVar[tuple[ArenaParameter, ...]] = ()
-
-    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        if registered:
-            ARENAS.register(cls)
 
     def __init__(self, fname: str | PathLike[str] | None = None) -> None:
         super().__init__(fname or asset_path('arenas', self.arena_name))
@@ -223,6 +217,7 @@ class Arena(MujocoXMLModel):
 
 ARENAS: Registry[Arena] = Registry(
     'arena', Arena, takes=(), key=lambda cls: cls.__dict__.get('arena_name'))
+Arena.registry = ARENAS
 
 
 _CUBE_EDGE_M = 0.05

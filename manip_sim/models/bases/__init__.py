@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from os import PathLike
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from manip_sim.models.mjcf import CatalogueModel, FromYaml, MujocoXMLModel
 from manip_sim.models.registry import import_submodules, Registry
@@ -23,13 +23,9 @@ class RobotBaseModel(MujocoXMLModel):
     #: The subsystem of joints whose names contain no keyword.
     subsystem_of_others = 'arm'
 
-    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        if registered:
-            BASES.register(cls)
-
 
 BASES: Registry[RobotBaseModel] = Registry('base', RobotBaseModel)
+RobotBaseModel.registry = BASES
 
 
 class MountModel(RobotBaseModel, registered=False):

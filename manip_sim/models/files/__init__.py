@@ -123,20 +123,15 @@ def _top(model_file: ModelFile, model: mujoco.MjModel, description: BaseDescript
     """Return where the robot stands: as declared, or on top of a base that is on a floor."""
     if description.top is not None:
         return np.array(description.top)
-    low, high = _extent(model)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    heights = shape_heights(model, data)
+    low, high = (heights[:, 0].min(), heights[:, 1].max()) if len(heights) else (0.0, 0.0)
     root_height = float(model.body_pos[1, 2])
     if high <= 0.0 or abs(low) > _ON_FLOOR_M or root_height < -_ON_FLOOR_M:
         return np.zeros(3)
     model_file.inferred.append(f'the robot stands on the highest point, {high:.3f} m')
     return np.array([0.0, 0.0, high - root_height])
-
-
-def _extent(model: mujoco.MjModel) -> tuple[float, float]:
-    """Return the lowest and highest point of all shapes at the start [m]."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    heights = shape_heights(model, data)
-    return (float(heights[:, 0].min()), float(heights[:, 1].max())) if len(heights) else (0., 0.)
 
 
 class FileArena(Arena, registered=False):

@@ -19,6 +19,7 @@ import numpy as np
 from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.models.actuators import JOINT_TRANSMISSIONS, SCALAR
+from manip_sim.models.couplings import tied_bodies
 
 _WORD, _LETTERS = re.compile(r'[A-Z]?[a-z]+|[A-Z]+(?![a-z])'), re.compile(r'[A-Za-z]+')
 _SIDES = {'left': 'left', 'l': 'left', 'lh': 'left', 'right': 'right', 'r': 'right', 'rh': 'right'}
@@ -94,6 +95,14 @@ class BodyTree:
         """Return the name of a body."""
         return str(self.model.body(body).name)
 
+    def joint_name(self, joint: int) -> str:
+        """Return the name of a joint."""
+        return str(self.model.joint(joint).name)
+
+    def body_of(self, joint: int) -> int:
+        """Return the body that a joint moves."""
+        return int(self.model.jnt_bodyid[joint])
+
     def parent(self, body: int) -> int:
         """Return the parent of a body."""
         return int(self._parents[body])
@@ -122,7 +131,7 @@ class BodyTree:
 
     def ends(self, joints: Iterable[int]) -> list[int]:
         """Return the bodies of some joints that have no other body of these joints below them."""
-        moved = {int(self.model.jnt_bodyid[joint]) for joint in joints}
+        moved = set(map(self.body_of, joints))
         return sorted(body for body in moved if not (self.below(body) - {body}) & moved)
 
     def common(self, bodies: Iterable[int]) -> int:
@@ -187,7 +196,9 @@ class BodyTree:
     def coupled(self, joints: Iterable[int]) -> set[int]:
         """Return joints and those that equality constraints couple to them."""
         coupled = set(joints)
-        pairs = self._tied_pairs()
+        model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
+        tied = np.flatnonzero((model.eq_type == joint) & (model.eq_obj2id >= 0))
+        pairs = [{int(model.eq_obj1id[i]), int(model.eq_obj2id[i])} for i in tied]
         while True:
             more = {other for pair in pairs if pair & coupled for other in pair} - coupled
             if not more:
@@ -199,23 +210,12 @@ class BodyTree:
         model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
         return set(model.eq_obj1id[(model.eq_type == joint) & (model.eq_obj2id >= 0)].tolist())
 
-    def _tied_pairs(self) -> list[set[int]]:
-        model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
-        tied = np.flatnonzero((model.eq_type == joint) & (model.eq_obj2id >= 0))
-        return [{int(model.eq_obj1id[i]), int(model.eq_obj2id[i])} for i in tied]
-
     def tied_bodies(self) -> list[tuple[int, int]]:
         """Return the pairs of bodies that connect and weld constraints tie to each other."""
         model, kinds = self.model, mujoco.mjtEq
         tied = np.flatnonzero(np.isin(
             model.eq_type, [int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)]))
-        pairs = []
-        for equality in tied.tolist():
-            ids = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
-            if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
-                ids = int(model.site_bodyid[ids[0]]), int(model.site_bodyid[ids[1]])
-            pairs.append(ids)
-        return pairs
+        return [tied_bodies(model, equality) for equality in tied.tolist()]
 
     def is_scalar(self, joint: int) -> bool:
         """Return whether a joint is a hinge or a slide."""
@@ -321,8 +321,6 @@ class Limbs:
 
         Their axes are horizontal, and nothing moves on them but what turns on and on, too, as the
         rollers of omnidirectional wheels do. A vertical hinge may steer one.
-
-        :param among: the joints that may be of wheels
         """
         candidates = set(among)
         groups = [[limb for limb in limbs if candidates.issuperset(self.joints(limb))
@@ -352,8 +350,6 @@ class Limbs:
 
         Four are enough if they stand in pairs on both sides of the middle, and not in a row: a
         hand has a thumb, or a finger in the middle.
-
-        :param among: the joints that may be of legs
         """
         if not self._is_floating_trunk():
             return []
@@ -375,8 +371,6 @@ class Limbs:
         Return the joints of two limbs that mirror each other, the only ones on a floating trunk.
 
         They end where the file has the floor: z = 0.
-
-        :param among: the joints that may be of legs
         """
         limbs, height = self.on(self.trunk), float(self._data.xpos[self.trunk, 2])
         joints = [self.joints(limb) for limb in limbs]

@@ -101,12 +101,7 @@ class HandFromFile(GripperModel, registered=False):
                                    GripperModel._important_sensors.items()}
 
     def _try_closing(self, names: list[str], closing: Callable[[list[str]], Closings]) -> None:
-        """
-        Find which way the actuators close that the description does not name.
-
-        :param names: of the actuators
-        :param closing: tries actuators by name
-        """
+        """Find which way the actuators close that the description does not name."""
         declared = self._description.closing
         for name in declared:
             if name not in names:
@@ -225,6 +220,7 @@ class BuiltInGripper(HandFromFile, registered=False):
     It comes with the robot and cannot be mounted elsewhere.
 
     :param start: where the robot's joints start, by name [rad or m]
+    :ivar body: name in the file of the body that carries all of it
     """
 
     def __init__(self, arm: str, description: OwnHandDescription, source: str,
@@ -262,8 +258,8 @@ class BuiltInGripper(HandFromFile, registered=False):
                 f'the fingers on {quoted_names(bodies)} are one gripper; arms: {{{self.idn}: {{'
                 f'hand: {bodies[0]}}}}} in a YAML file takes one of them, and the joints of the '
                 "others become the part 'other'")
-        self._body = tree.name(hand.body)
-        self._joints = [str(tree.model.joint(joint).name) for joint in hand.joints
+        self.body = tree.name(hand.body)
+        self._joints = [tree.joint_name(joint) for joint in hand.joints
                         if int(tree.model.jnt_type[joint]) != 0]
         self._actuators = [str(tree.model.actuator(a).name) for a in hand.actuators]
         self._try_closing(self._actuators, lambda names: once(
@@ -279,23 +275,18 @@ class BuiltInGripper(HandFromFile, registered=False):
         self.file = robot.file
         self._own_model, self._spec = model, robot._spec
         tree = BodyTree(model)
-        bodies = tree.below(int(model.body(self._body).id))
+        bodies = tree.below(int(model.body(self.body).id))
         self._bodies = [tree.name(body) for body in sorted(bodies)]
         self._sensors = list(self._important_sensors.values())
         self._cameras = []
         self._record_shapes(model, bodies)
         self._check_declared()
-        hand = FoundHand(int(model.body(self._body).id),
+        hand = FoundHand(int(model.body(self.body).id),
                          tuple(int(model.joint(name).id) for name in self._joints),
                          tuple(int(model.actuator(name).id) for name in self._actuators))
         # Joints of the other arm's hand may have gone with it.
         self._set_closing(list(hand.actuators), Fingers(tree, hand, self._start).out_of_touch)
         self.current_action = np.zeros(self.dof)
-
-    @property
-    def body(self) -> str:
-        """Name in the file of the body that carries all of it."""
-        return self._body
 
     @property
     def names_in_file(self) -> set[str]:
@@ -304,7 +295,7 @@ class BuiltInGripper(HandFromFile, registered=False):
 
     def remove_from(self, spec: mujoco.MjSpec) -> None:
         """Delete the hand; a body that the arm moves remains, with nothing of the hand on it."""
-        body = spec.body(self._body)
+        body = spec.body(self.body)
         joints, moves = set(self._joints), len(body.joints) > 0
         for child in list(body.bodies):
             carries = joints.intersection(joint.name for joint in child.find_all('joint'))
@@ -339,7 +330,7 @@ class BuiltInGripper(HandFromFile, registered=False):
         """Change nothing: the prefix is that of the robot."""
 
     def _root(self) -> Any:
-        return self._robot._spec.body(self._body)
+        return self._robot._spec.body(self.body)
 
     @property
     def rotation_offset(self) -> FloatArray:
@@ -347,7 +338,7 @@ class BuiltInGripper(HandFromFile, registered=False):
         data = mujoco.MjData(self._own_model)
         mujoco.mj_kinematics(self._own_model, data)
         return wxyz_to_xyzw(relative_quat_wxyz(
-            data.body(self._body).xquat, data.body(self._eef_body).xquat))
+            data.body(self.body).xquat, data.body(self._eef_body).xquat))
 
     def set_mount_pose(self, pos: ArrayLike | None = None,
                        quat_wxyz: ArrayLike | None = None) -> None:

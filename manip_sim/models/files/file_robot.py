@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from manip_sim.algebra import length
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, RobotBaseModel
@@ -31,8 +31,7 @@ from manip_sim.models.files.part_descriptions import (
 from manip_sim.models.files.scenery import MocapBodies
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.loading import compile_copy, compile_without_meshes
-from manip_sim.models.robots import ManipulatorModel
-from manip_sim.models.robots.robot_model import Placement, RobotModel
+from manip_sim.models.robots import ManipulatorModel, Placement, RobotModel
 from manip_sim.models.spec_edits import add_body_at, find_place, free_name, weld_joints
 from manip_sim.models.user_files import Files, stem_of
 
@@ -115,10 +114,13 @@ def plan_robot(file: Path, description: RobotDescription, source: str, files: Fi
     own_hands = {side: _own_hand(spec, shapes, side, hand.in_tree(tree, shapes.light),
                                  description, source, start) for side, hand in hands.items()}
     of_hand_joints = {j for hand in hands.values() for j in hand.joints}
-    by_name = {str(tree.model.joint(j).name): part for j, part in subsystems.items()
+    by_name = {tree.joint_name(j): part for j, part in subsystems.items()
                if j not in of_hand_joints}
-    _limit_velocities(spec, description.velocity_limits)
-    notes += _subsystem_notes(by_name)
+    for name, limit in description.velocity_limits.items():
+        joint = spec.joint(name)
+        joint.userdata = [limit, *list(joint.userdata)[1:]]
+    notes += [f'{part}: {", ".join(joints)}' for part in ('base', 'torso', 'head', 'legs', 'other')
+              if (joints := [name for name, subsystem in by_name.items() if subsystem == part])]
     return RobotPlan(file, description, source, spec, start, by_name, ends, own_hands, arms, loose,
                      notes, model_file.keyframes, mocap, depth)
 
@@ -162,7 +164,7 @@ class _HandShapes:
             self.light = BodyTree(compile_without_meshes(self._spec, self._file, ()))
             self.key = digest_of(self.light.model) + digest_of_meshes(self._spec)
         # With what carries it, as MuJoCo lets fingers touch a palm that cannot move.
-        self._joints = {str(tree.model.joint(joint).name) for joint in (
+        self._joints = {tree.joint_name(joint) for joint in (
             *tree.joints(carriers), *(j for hand in hands.values() for j in hand.joints))}
         self.tree = cache(self._compile)
 
@@ -177,7 +179,7 @@ def _raised(model: mujoco.MjModel, notes: list[str], description: RobotDescripti
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom]]
-    reach = max((length(data.geom_xpos[geom] - data.xpos[1]) + float(model.geom_rbound[geom])
+    reach = max((math.dist(data.geom_xpos[geom], data.xpos[1]) + float(model.geom_rbound[geom])
                  for geom in geoms), default=0.0)
     height = round(reach + _CLEARANCE_M, 3)
     notes.append(f'it is fixed {height:g} m above the floor, in the air')
@@ -207,7 +209,7 @@ def _find_torso(tree: BodyTree, subsystems: dict[int, str], arms: Mapping[str, F
     """Take from the arms the joints that move both."""
     shared = tree.common(_end_body(tree, arm) for arm in arms.values())
     for joint in tree.joints(tree.path(shared)):
-        if subsystems.get(joint) == 'arm' and str(tree.model.joint(joint).name) not in declared:
+        if subsystems.get(joint) == 'arm' and tree.joint_name(joint) not in declared:
             subsystems[joint] = 'torso'
 
 
@@ -249,7 +251,7 @@ def _part_of_carrier(tree: BodyTree, subsystems: Mapping[int, str], joint: int) 
 
     A joint of a head that turns without end is no part of it: it turns a laser.
     """
-    body = int(tree.model.jnt_bodyid[joint])
+    body = tree.body_of(joint)
     above = [joint for joint in tree.joints(tree.path(tree.parent(body))) if joint in subsystems]
     part = subsystems[above[-1]] if above else 'other'
     if part in ('head', 'legs'):
@@ -260,7 +262,7 @@ def _part_of_carrier(tree: BodyTree, subsystems: Mapping[int, str], joint: int) 
 
 
 def _check_joints(tree: BodyTree, description: RobotDescription, source: str) -> None:
-    names = [str(tree.model.joint(j).name) for j in range(tree.model.njnt)]
+    names = [tree.joint_name(j) for j in range(tree.model.njnt)]
     for key, joints in (('subsystems', description.subsystems),
                         ('velocity_limits', description.velocity_limits)):
         for joint in joints:
@@ -357,21 +359,6 @@ def _own_hand(spec: mujoco.MjSpec, shapes: _HandShapes, side: str, hand: FoundHa
     gripper = BuiltInGripper(side, declared, source, start)
     gripper.add_to(spec, shapes.light, hand, shapes.key, shapes.tree)
     return gripper
-
-
-def _limit_velocities(spec: mujoco.MjSpec, limits: Mapping[str, float]) -> None:
-    for name, limit in limits.items():
-        joint = spec.joint(name)
-        joint.userdata = [limit, *list(joint.userdata)[1:]]
-
-
-def _subsystem_notes(subsystems: Mapping[str, str]) -> list[str]:
-    notes = []
-    for part in ('base', 'torso', 'head', 'legs', 'other'):
-        joints = [joint for joint, subsystem in subsystems.items() if subsystem == part]
-        if joints:
-            notes.append(f'{part}: {", ".join(joints)}')
-    return notes
 
 
 class FileRobot(RobotModel, registered=False):
@@ -471,11 +458,17 @@ class FileRobot(RobotModel, registered=False):
 
     @property
     def described(self) -> dict[str, Any]:
-        """The file's description, completed by inference, as the keys of a YAML file."""
-        model = self._own_model
-        return _described_plan(self._plan, {
-            str(model.joint(joint).name): model.jnt_range[joint] for joint in range(model.njnt)
-            if model.jnt_limited[joint]})
+        """The file's description, with nothing left to infer, as the keys of a YAML file."""
+        model, plan = self._own_model, self._plan
+        declared = plan.description.model_dump(exclude_unset=True)
+        limited = {str(model.joint(joint).name): model.jnt_range[joint]
+                   for joint in range(model.njnt) if model.jnt_limited[joint]}
+        return {**declared, 'model': plan.file.name,
+                'arms': {side: _described_arm(plan, side) for side in plan.ends} or 'none',
+                'subsystems': {**dict(plan.subsystems), **declared.get('subsystems', {})},
+                'start': {
+                    joint: at if joint not in limited else float(np.clip(at, *limited[joint]))
+                    for joint, at in plan.start.items()}}
 
     @property
     def default_base(self) -> str | None:
@@ -570,23 +563,7 @@ class FileManipulator(FileRobot, ManipulatorModel, registered=False):
         self.update_actuators()
 
 
-def _described_plan(plan: RobotPlan, ranges: Mapping[str, FloatArray]) -> dict[str, Any]:
-    """
-    Return the description of a robot, completed by inference, so that nothing is left to infer.
-
-    :param ranges: of the joints, by name in the file [rad or m], shape (2,)
-    :returns: the keys of a robot's YAML file beside the model
-    """
-    declared = plan.description.model_dump(exclude_unset=True)
-    arms = {side: _arm(plan, side) for side in plan.ends}
-    return {**declared, 'model': plan.file.name, 'arms': arms or 'none',
-            'subsystems': {**dict(plan.subsystems), **declared.get('subsystems', {})},
-            'start': {
-                joint: at if joint not in ranges else float(np.clip(at, *ranges[joint]))
-                for joint, at in plan.start.items()}}
-
-
-def _arm(plan: RobotPlan, side: str) -> dict[str, Any]:
+def _described_arm(plan: RobotPlan, side: str) -> dict[str, Any]:
     declared = plan.description.arm(side)
     values = {} if declared is None else declared.model_dump(exclude_unset=True)
     arm = {**values, 'mount': values.get('mount', plan.arms[side].name)}

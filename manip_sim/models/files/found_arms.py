@@ -76,7 +76,7 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     for joint in range(model.njnt):
         if int(model.jnt_type[joint]) == 0:
             continue
-        name = str(model.joint(joint).name)
+        name = tree.joint_name(joint)
         subsystems[joint] = (declared.get(name) or _by_name(name) or _by_body(tree, joint)
                              or by_actuator.get(joint, 'arm'))
         if name not in declared and not _by_name(name) and joint not in fingers:
@@ -86,10 +86,10 @@ def classify_joints(tree: BodyTree, declared: Mapping[str, str], fingers: Collec
     limbs = Limbs(tree)
     _complete_wheels(tree, limbs, subsystems, free)
     for joint in free.difference(limbs.leading):  # One that moves the whole robot is of the base.
-        if 'pelvis' in words_of(str(model.joint(joint).name)):
+        if 'pelvis' in words_of(tree.joint_name(joint)):
             subsystems[joint] = 'torso'
     free |= {joint for joint in limbs.legs_with_shoulders() if subsystems.get(joint) == 'arm'
-             and str(model.joint(joint).name) not in declared and joint not in fingers}
+             and tree.joint_name(joint) not in declared and joint not in fingers}
     _find_unnamed(tree, limbs, subsystems, free, notes)
     _complete_legs(tree, limbs, subsystems, declared, fingers)
     _correct_single_limbs(tree, subsystems, declared, fingers)
@@ -116,7 +116,7 @@ def _by_name(name: str) -> str | None:
 
 def _by_body(tree: BodyTree, joint: int) -> str | None:
     """Return the subsystem that the name of the body says that a joint moves, or None."""
-    words = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
+    words = words_of(tree.name(tree.body_of(joint)))
     return next((part for part, known in _BODY_WORDS.items() if words & known), None)
 
 
@@ -132,11 +132,7 @@ def _by_actuators(tree: BodyTree) -> dict[int, str]:
 
 def _find_unnamed(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str], free: set[int],
                   notes: list[str]) -> None:
-    """
-    Find planar bases, wheels and legs by what their joints are.
-
-    :param free: the joints whose subsystem nothing else decides
-    """
+    """Find planar bases, wheels and legs by what their joints are."""
     for part, joints, why in (
             ('base', limbs.planar_base(), 'they move the whole robot in a plane'),
             ('base', limbs.moving_root(), 'they move the whole robot without limits'),
@@ -184,13 +180,13 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
     Limbs that loops tie to each other are one, such as the rods of an ankle.
     """
     def can_change(joint: int) -> bool:
-        name = str(tree.model.joint(joint).name)
+        name = tree.joint_name(joint)
         return subsystems.get(joint) == 'arm' and name not in declared and joint not in fingers
 
     of_others = _by_actuators(tree)
 
     def may_be_of_shoulder(joint: int) -> bool:
-        words = words_of(str(tree.model.joint(joint).name))
+        words = words_of(tree.joint_name(joint))
         return (words & _WORDS['legs'] <= _OF_SHOULDERS and not _by_body(tree, joint)
                 and of_others.get(joint) != 'legs')
 
@@ -200,7 +196,7 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
         chains = [limbs.leading]  # A leg alone.
     for chain in chains:
         joints = [joint for joint in chain if joint in subsystems]
-        words = set().union(*(words_of(str(tree.model.joint(j).name)) for j in joints))
+        words = set().union(*(words_of(tree.joint_name(j)) for j in joints))
         parts = {subsystems[joint] for joint in joints}
         if 'legs' in parts <= {'legs', 'arm', 'base'} and not (
                 words & _ARM_BEYOND_SHOULDER or set(joints) & set(fingers)):
@@ -212,7 +208,7 @@ def _complete_legs(tree: BodyTree, limbs: Limbs, subsystems: dict[int, str],
     if 'legs' not in beyond and 'arm' in {subsystems.get(joint) for joint in limbs.leading}:
         subsystems.update({
             joint: 'arm' for joint in limbs.leading if subsystems.get(joint) == 'legs'
-            and (name := str(tree.model.joint(joint).name)) not in declared
+            and (name := tree.joint_name(joint)) not in declared
             and words_of(name) & _WORDS['legs'] <= _OF_SHOULDERS})
 
 
@@ -228,13 +224,13 @@ def _correct_base(tree: BodyTree, subsystems: dict[int, str], declared: Mapping[
     for root in (body for body in range(1, model.nbody) if tree.parent(body) == 0):
         joints = [joint for joint in tree.joints([root]) if tree.is_scalar(joint)]
         are_axes = len(joints) >= 2 and all(
-            _AXIS.search(str(model.joint(joint).name)) for joint in joints)
+            _AXIS.search(tree.joint_name(joint)) for joint in joints)
         slides = [int(model.jnt_type[joint]) == _SLIDE for joint in joints]
         floats = (sum(slides) == 3 < len(slides) and not driven.intersection(joints)
                   and driven.intersection(tree.joints(tree.below(root))))
         if are_axes or floats:
             subsystems.update({joint: 'base' for joint in joints
-                               if str(model.joint(joint).name) not in declared})
+                               if tree.joint_name(joint) not in declared})
 
 
 def _correct_single_limbs(tree: BodyTree, subsystems: dict[int, str], declared: Mapping[str, str],
@@ -246,10 +242,10 @@ def _correct_single_limbs(tree: BodyTree, subsystems: dict[int, str], declared: 
     """
     most = 0 if 'legs' in subsystems.values() else -1
     for joint, subsystem in list(subsystems.items()):
-        name = str(tree.model.joint(joint).name)
+        name = tree.joint_name(joint)
         if subsystem not in ('torso', 'legs') or name in declared or classify(name) == subsystem:
             continue
-        below = set(tree.joints(tree.below(int(tree.model.jnt_bodyid[joint]))))
+        below = set(tree.joints(tree.below(tree.body_of(joint))))
         limbs = {j for j in below - set(fingers) if subsystems.get(j) in ('arm', 'head', 'legs')}
         count = len(tree.ends(limbs))
         if most < count < 2 if subsystem == 'torso' else count < 2 and below.intersection(fingers):
@@ -346,7 +342,7 @@ def _ends_of_arms(tree: BodyTree, joints: Collection[int]) -> list[int]:
     Excluded are chains of which all joints beyond the others follow another one, as in a
     parallelogram, and chains of which more than five hang on one link, as the rods of a platform.
     """
-    tips, moved = tree.ends(joints), {int(tree.model.jnt_bodyid[joint]) for joint in joints}
+    tips, moved = tree.ends(joints), {tree.body_of(joint) for joint in joints}
     followers, limbs = tree.followers(), Limbs(tree)
     for crowd in (group for link in {0, *moved} for group in limbs.by_root(link)):
         if sum(bool(tree.below(limb) & moved) for limb in crowd) > MAX_FINGERS:
@@ -373,7 +369,7 @@ def _joints_of_arms(tree: BodyTree, subsystems: Mapping[int, str], hands: Collec
     rigid = tree.model.body_weldid.tolist()
     ends = {rigid[hand.body] for hand in hands} - {0}
     of_hands |= {j for j in subsystems if ends.intersection(
-        rigid[body] for body in tree.path(tree.parent(int(tree.model.jnt_bodyid[j]))))}
+        rigid[body] for body in tree.path(tree.parent(tree.body_of(j))))}
     of_hands |= _joints_of_objects(tree)
     return {j for j, part in subsystems.items()
             if part == 'arm' and j not in of_hands and tree.is_scalar(j)}
@@ -385,7 +381,7 @@ def _joints_of_objects(tree: BodyTree) -> set[int]:
     of_root = {body: tree.joints(sorted(tree.below(body)))
                for body in range(1, model.nbody) if tree.parent(body) == 0}
     single = {body for body, joints in of_root.items()
-              if len({int(model.jnt_bodyid[joint]) for joint in joints}) == 1}
+              if len({tree.body_of(joint) for joint in joints}) == 1}
     if not any(joints for body, joints in of_root.items() if body not in single):
         return set()
     return {joint for body in single for joint in of_root[body]}

@@ -20,6 +20,7 @@ import numpy as np
 from manip_sim.algebra import length, product
 from manip_sim.arrays import FloatArray
 from manip_sim.models.actuators import position_servos
+from manip_sim.models.archive import to_binary
 from manip_sim.models.files.body_tree import (
     BodyTree, FINGERS, Limbs, MAX_FINGERS, PALM_WORDS, turns_farther_than, words_of)
 
@@ -84,9 +85,9 @@ def carries_arms(tree: BodyTree, body: int, others: Collection[int]) -> bool:
     :param others: joints whose words count for nothing, as in a robot called arm
     """
     words = _CARRIED_BY_NO_HAND - frozenset().union(
-        *(words_of(_name(tree, joint)) for joint in others))
+        *(words_of(tree.joint_name(joint)) for joint in others))
     of_arms = {joint for joint in set(hand_below(tree, body).joints) - set(others)
-               if words_of(_name(tree, joint)) & words}
+               if words_of(tree.joint_name(joint)) & words}
     return any(len(of_arms.intersection(tree.joints(tree.path(end)))) >= LEAST_OF_ARM
                for end in tree.ends(of_arms))
 
@@ -102,7 +103,7 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
     """
     fingers = {j for j in range(tree.model.njnt) if tree.is_scalar(j) and _is_of_finger(tree, j)}
     named = {j for j in range(tree.model.njnt)
-             if tree.is_scalar(j) and words_of(_name(tree, j)) & _HAND_WORDS}
+             if tree.is_scalar(j) and words_of(tree.joint_name(j)) & _HAND_WORDS}
     for actuator in range(tree.model.nu):
         words = words_of(str(tree.model.actuator(actuator).name))
         if words & _FINGER_WORDS:
@@ -131,7 +132,7 @@ def find_hands(tree: BodyTree) -> list[FoundHand]:
 def _without_wrist(tree: BodyTree, joints: Collection[int]) -> set[int]:
     """Return the joints of a hand without one that turns all others, which are on two sides."""
     first = _first_bodies(tree, joints)
-    above = {joint for joint in joints if int(tree.model.jnt_bodyid[joint]) in first}
+    above = {joint for joint in joints if tree.body_of(joint) in first}
     if len(above) != 1 or any(_is_of_finger(tree, joint) for joint in above):
         return set(joints)
     body = int(tree.model.jnt_bodyid[min(above)])
@@ -149,9 +150,9 @@ def hands_of_hand(tree: BodyTree, hand: FoundHand) -> list[str]:
     rigid, fingers = tree.model.body_weldid, set(hand.joints)
     carriers: dict[int, int] = {}
     first = [joint for joint in hand.joints if not fingers.intersection(
-        tree.joints(tree.path(tree.parent(int(tree.model.jnt_bodyid[joint])))))]
+        tree.joints(tree.path(tree.parent(tree.body_of(joint)))))]
     for joint in first:
-        carrier = tree.parent(int(tree.model.jnt_bodyid[joint]))
+        carrier = tree.parent(tree.body_of(joint))
         if rigid[carrier] != rigid[hand.body]:
             return []
         carriers[carrier] = carriers.get(carrier, 0) + 1
@@ -239,15 +240,15 @@ def _with_branches(tree: BodyTree, body: int) -> int:
 
 def _is_of_finger(tree: BodyTree, joint: int) -> bool:
     """Return whether a joint, or the body that it moves, has the name of a finger."""
-    words = words_of(_name(tree, joint))
-    body = words_of(tree.name(int(tree.model.jnt_bodyid[joint])))
+    words = words_of(tree.joint_name(joint))
+    body = words_of(tree.name(tree.body_of(joint)))
     return bool(words & _FINGER_WORDS and not _turns_palm(tree, joint)
                 or body & _FINGER_BODY_WORDS and not words & _ARM_WORDS)
 
 
 def _turns_palm(tree: BodyTree, joint: int) -> bool:
     """Return whether a joint moves a palm that carries fingers, after which it may be called."""
-    body = int(tree.model.jnt_bodyid[joint])
+    body = tree.body_of(joint)
     words = words_of(tree.name(body))
     return bool(words & PALM_WORDS and not words & _FINGER_BODY_WORDS
                 and tree.joints(tree.below(body) - {body}))
@@ -255,17 +256,13 @@ def _turns_palm(tree: BodyTree, joint: int) -> bool:
 
 def _drives_flight(tree: BodyTree, joint: int) -> bool:
     """Return whether a joint, or the body that it moves, has the name of a rotor."""
-    names = _name(tree, joint), tree.name(int(tree.model.jnt_bodyid[joint]))
+    names = tree.joint_name(joint), tree.name(tree.body_of(joint))
     return any(words_of(name) & _FLIGHT_WORDS for name in names)
-
-
-def _name(tree: BodyTree, joint: int) -> str:
-    return str(tree.model.joint(joint).name)
 
 
 def _by_side(tree: BodyTree, joints: Iterable[int]) -> dict[str | None, set[int]]:
     every = list(joints)
-    carriers = [tree.parent(int(tree.model.jnt_bodyid[joint])) for joint in every]
+    carriers = [tree.parent(tree.body_of(joint)) for joint in every]
     by_side: dict[str | None, set[int]] = {}
     for joint, side in zip(every, tree.sides(carriers)):
         by_side.setdefault(side, set()).add(joint)
@@ -279,7 +276,7 @@ def _by_arm(tree: BodyTree, joints: Collection[int]) -> list[set[int]]:
     carrier = _common_carrier(tree, joints)
     branches: dict[int, set[int]] = {}
     for joint in joints:
-        way = [*tree.path(tree.parent(int(tree.model.jnt_bodyid[joint]))), 0]
+        way = [*tree.path(tree.parent(tree.body_of(joint))), 0]
         branches.setdefault(way[len(tree.path(carrier))], set()).add(joint)
     groups = list(branches.values())
     shared, *lengths = (sum(map(tree.is_scalar, tree.joints(tree.path(body))))
@@ -298,7 +295,7 @@ def _fingers_below(tree: BodyTree, carrier: int) -> list[int]:
 
 def _first_bodies(tree: BodyTree, joints: Collection[int]) -> set[int]:
     """Return the bodies of joints that no other of these joints moves."""
-    moved = {int(tree.model.jnt_bodyid[joint]) for joint in joints}
+    moved = {tree.body_of(joint) for joint in joints}
     return {body for body in moved if not moved.intersection(tree.path(tree.parent(body)))}
 
 
@@ -320,7 +317,7 @@ def _is_one_hand(tree: BodyTree, groups: Iterable[set[int]]) -> bool:
 
 
 def _common_carrier(tree: BodyTree, joints: Iterable[int]) -> int:
-    return tree.common([tree.parent(int(tree.model.jnt_bodyid[joint])) for joint in joints])
+    return tree.common(tree.parent(tree.body_of(joint)) for joint in joints)
 
 
 #: Words in the names of frames between the fingertips, in order of preference.
@@ -355,11 +352,7 @@ _MOST_KNOWN = 400
 
 
 def once(key: bytes, compute: Callable[[], Result]) -> Result:
-    """
-    Return the result of a computation, of an earlier one with the same key if there was one.
-
-    :param key: digest of all that the result depends on
-    """
+    """Return the result of a computation, of an earlier one with the same key if there was one."""
     digest = hashlib.blake2b(key).digest()
     if digest not in _known:
         result = compute()
@@ -372,9 +365,7 @@ def once(key: bytes, compute: Callable[[], Result]) -> Result:
 
 def digest_of(model: mujoco.MjModel) -> bytes:
     """Return a digest of a compiled model."""
-    saved = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, saved)
-    return hashlib.blake2b(saved.data).digest()
+    return hashlib.blake2b(to_binary(model)).digest()
 
 
 def digest_of_meshes(spec: mujoco.MjSpec) -> bytes:
@@ -561,11 +552,7 @@ class Fingers:
         return local
 
     def closing(self, actuators: Sequence[str]) -> Closings:
-        """
-        Return how actuators close, as :meth:`_ends` and :meth:`_reopening` say.
-
-        :param actuators: their names
-        """
+        """Return how actuators close, as :meth:`_ends` and :meth:`_reopening` say."""
         if not actuators:
             return {}, {}
         trial = self._trial_model()
@@ -607,7 +594,6 @@ class Fingers:
         come back closes less far, or with less effort, see :data:`_SHORTER`. What never opens
         again stays as it is.
 
-        :param closing: as :meth:`_ends` returns them
         :returns: those that are other ones, by id
         """
         # Slow ones get more time before they count.

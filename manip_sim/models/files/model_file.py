@@ -79,7 +79,9 @@ def read_model(file: Path, description: Description, source: object,
     if urdf:
         spec, notes = load_urdf(file, description.xacro_values, expects_meshes, files)
     elif files is None:
-        spec, notes = _load_mjcf(file, expects_meshes)
+        spec = load_spec(file, notes)
+        if not expects_meshes:
+            notes = [str(note) for note in notes]
     else:
         spec = load_self_contained(file, files, as_robot=True).load_tried(notes)
     notes += [*_gravity_of_file(spec), *touch_other_files(spec), *leave_out_dangling(spec)]
@@ -127,7 +129,8 @@ def read_model(file: Path, description: Description, source: object,
     # Sizes for the file's model alone; MuJoCo would warn in composing if parts differ.
     spec.njmax, spec.nconmax, spec.nkey = -1, -1, 0
     spec, changes = single_tree(spec, model, file)
-    if _has_lost_joints(spec, model):
+    not_free = np.flatnonzero(model.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)).tolist()
+    if any(spec.joint(model.joint(joint).name) is None for joint in not_free):
         model = compile_copy(spec, str(file), visual)
         places = {name: place for name, place in places.items() if spec.joint(name) is not None}
         named = {key: {name: place for name, place in there.items() if name in places}
@@ -136,12 +139,6 @@ def read_model(file: Path, description: Description, source: object,
     start = _start_pose(model, places, declared, source)
     notes += [*changes, *_exclude_overlaps(spec, model, start, file, urdf, files)]
     return ModelFile(file, spec, tree, start, notes, named, mocap)
-
-
-def _has_lost_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> bool:
-    """Return whether a spec lacks joints of a model other than joints of free bodies."""
-    return any(spec.joint(model.joint(joint).name) is None for joint in np.flatnonzero(
-        model.jnt_type != int(mujoco.mjtJoint.mjJNT_FREE)).tolist())
 
 
 def _gravity_of_file(spec: mujoco.MjSpec) -> list[str]:
@@ -258,13 +255,6 @@ def _heights(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[flo
         middle += float(upward @ model.geom_aabb[geom, :3])
         half = np.abs(upward) @ model.geom_aabb[geom, 3:]
     return middle - float(half), middle + float(half)
-
-
-def _load_mjcf(file: Path, expects_meshes: bool) -> tuple[mujoco.MjSpec, list[str]]:
-    """Read a spec from an MJCF file, without missing assets, and return sentences on them."""
-    notes: list[str] = []
-    spec = load_spec(file, notes)
-    return spec, notes if expects_meshes else [str(sentence) for sentence in notes]
 
 
 def _of_undeclared(notes: list[str], joints: Iterable[str],
@@ -560,7 +550,8 @@ def own_each_joint(spec: mujoco.MjSpec, tree: BodyTree, actuators: Collection[in
     model, notes = tree.model, []
     others: set[str] = set()
     owner: dict[int, int] = {}
-    for actuator in sorted(actuators, key=lambda a: not _is_position_servo(model, a)):
+    for actuator in sorted(actuators, key=lambda a: not (
+            _is_usable(model, a) and position_servos(model, a))):
         name = str(model.actuator(actuator).name)
         joint = _driven_joint(tree, actuator)
         if joint is None and int(model.actuator_trntype[actuator]) == _TENDON:
@@ -614,10 +605,6 @@ def _greatest_force(model: mujoco.MjModel, joint: int, actuator: int) -> float:
     if model.jnt_actfrclimited[joint]:
         limits.append(np.abs(model.jnt_actfrcrange[joint]).max())
     return float(min(limits))
-
-
-def _is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
-    return _is_usable(model, actuator) and bool(position_servos(model, actuator))
 
 
 def _is_usable(model: mujoco.MjModel, actuator: int) -> bool:
@@ -685,9 +672,7 @@ def add_servos(spec: mujoco.MjSpec, tree: BodyTree) -> list[str]:
     :returns: the changes, in sentences
     """
     model = tree.model
-    followers = {int(model.eq_obj1id[i]) for i in range(model.neq)
-                 if int(model.eq_type[i]) == int(mujoco.mjtEq.mjEQ_JOINT)
-                 and int(model.eq_obj2id[i]) >= 0}
+    followers = tree.followers()
     driven = [j for j in range(model.njnt) if tree.is_scalar(j) and j not in followers]
     for joint in driven:
         element = spec.joint(model.joint(joint).name)

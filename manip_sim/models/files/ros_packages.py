@@ -300,8 +300,6 @@ def _converted(mesh: Path) -> tuple[Path | None, str]:
     Return an OBJ file with the shape of a mesh, in metres, or None and why not.
 
     It is in ``$XDG_CACHE_HOME/manip_sim/meshes``, by the content of the mesh, and is made once.
-
-    :param mesh: a file of one of :data:`_CONVERTIBLE`
     """
     try:
         import trimesh

@@ -22,6 +22,7 @@ import numpy as np
 from manip_sim.algebra import relative_quat_wxyz
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
+from manip_sim.models.couplings import tied_bodies
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.spec_edits import attach, delete_elements, free_name, rename_body, TakenNames
 from manip_sim.quoting import pluralize, quoted, quoted_names
@@ -39,8 +40,7 @@ _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 #: Properties of a camera besides its name and pose.
 _OF_CAMERA = ('mode', 'targetbody', 'fovy', 'resolution', 'sensor_size', 'focal_length',
               'focal_pixel', 'principal_length', 'principal_pixel', 'intrinsic', 'ipd', 'proj')
-_WELD, _CONNECT = int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)
-_BODY = int(mujoco.mjtObj.mjOBJ_BODY)
+_WELD, _BODY = int(_EQ.mjEQ_WELD), int(_OBJ.mjOBJ_BODY)
 #: Beginning of names of shapes and materials of mocap bodies, behind the robot's prefix.
 _APART = 'mocap_'
 
@@ -55,62 +55,35 @@ def leave_out_dangling(spec: mujoco.MjSpec) -> list[str]:
 
     :returns: a sentence for each kind
     """
-    lacks = _Lacking(spec)
-    cameras = [camera for camera in spec.cameras if lacks.body(camera.targetbody)]
-    notes: list[str] = []
-    for kind, elements, missing in (
-            ('exclude', spec.excludes, lambda e: lacks.bodies(e.bodyname1, e.bodyname2)),
-            ('equality constraint', spec.equalities, lacks.of_equality),
-            ('sensor', spec.sensors, lacks.of_sensor),
-            ('camera target', cameras, lambda e: lacks.bodies(e.targetbody)),
-            ('light', spec.lights, lambda e: lacks.bodies(e.targetbody)),
-            ('material', [*spec.geoms, *spec.sites],
-             lambda e: lacks.materials(e.material))):
-        notes += _left_out(spec, kind, list(elements), missing)
-    return notes + _left_out_keyframes(spec)
+    known = {int(kind): {element.name for element in elements} for kind, elements in (
+        (_OBJ.mjOBJ_BODY, spec.bodies), (_OBJ.mjOBJ_XBODY, spec.bodies),
+        (_OBJ.mjOBJ_MATERIAL, spec.materials), (_OBJ.mjOBJ_JOINT, spec.joints),
+        (_OBJ.mjOBJ_GEOM, spec.geoms), (_OBJ.mjOBJ_SITE, spec.sites),
+        (_OBJ.mjOBJ_CAMERA, spec.cameras), (_OBJ.mjOBJ_TENDON, spec.tendons),
+        (_OBJ.mjOBJ_ACTUATOR, spec.actuators))}
 
+    def lacking(kind: Any, *names: str) -> list[str]:
+        return [name for name in names if name and name not in known.get(int(kind), names)]
 
-class _Lacking:
-    """The names that elements of a spec refer to and that it lacks."""
-
-    def __init__(self, spec: mujoco.MjSpec) -> None:
-        bodies = {body.name for body in spec.bodies}
-        self._names = {int(kind): names for kind, names in (
-            (_OBJ.mjOBJ_BODY, bodies), (_OBJ.mjOBJ_XBODY, bodies),
-            (_OBJ.mjOBJ_MATERIAL, {material.name for material in spec.materials}),
-            (_OBJ.mjOBJ_JOINT, {joint.name for joint in spec.joints}),
-            (_OBJ.mjOBJ_GEOM, {geom.name for geom in spec.geoms}),
-            (_OBJ.mjOBJ_SITE, {site.name for site in spec.sites}),
-            (_OBJ.mjOBJ_CAMERA, {camera.name for camera in spec.cameras}),
-            (_OBJ.mjOBJ_TENDON, {tendon.name for tendon in spec.tendons}),
-            (_OBJ.mjOBJ_ACTUATOR, {actuator.name for actuator in spec.actuators}))}
-
-    def _among(self, kind: Any, *names: str) -> list[str]:
-        known = self._names.get(int(kind))
-        return [name for name in names if known is not None and name and name not in known]
-
-    def body(self, name: str) -> bool:
-        """Return whether a body of a name is missing."""
-        return bool(self.bodies(name))
-
-    def bodies(self, *names: str) -> list[str]:
-        """Return the names of bodies that there are not."""
-        return self._among(_OBJ.mjOBJ_BODY, *names)
-
-    def materials(self, *names: str) -> list[str]:
-        """Return the names of materials that there are not."""
-        return self._among(_OBJ.mjOBJ_MATERIAL, *names)
-
-    def of_equality(self, equality: Any) -> list[str]:
-        """Return the names that an equality constraint refers to and that are missing."""
+    def of_equality(equality: Any) -> list[str]:
         kind = int(equality.type)
         tied = equality.objtype if kind in _OF_OBJTYPE else _TIED.get(kind, _OBJ.mjOBJ_UNKNOWN)
-        return self._among(tied, equality.name1, equality.name2)
+        return lacking(tied, equality.name1, equality.name2)
 
-    def of_sensor(self, sensor: Any) -> list[str]:
-        """Return the names that a sensor refers to and that are missing."""
-        return (self._among(sensor.objtype, sensor.objname)
-                + self._among(sensor.reftype, sensor.refname))
+    body = _OBJ.mjOBJ_BODY
+    cameras = [camera for camera in spec.cameras if lacking(body, camera.targetbody)]
+    notes: list[str] = []
+    for kind, elements, missing in (
+            ('exclude', spec.excludes, lambda e: lacking(body, e.bodyname1, e.bodyname2)),
+            ('equality constraint', spec.equalities, of_equality),
+            ('sensor', spec.sensors, lambda e: (
+                lacking(e.objtype, e.objname) + lacking(e.reftype, e.refname))),
+            ('camera target', cameras, lambda e: lacking(body, e.targetbody)),
+            ('light', spec.lights, lambda e: lacking(body, e.targetbody)),
+            ('material', [*spec.geoms, *spec.sites],
+             lambda e: lacking(_OBJ.mjOBJ_MATERIAL, e.material))):
+        notes += _left_out(spec, kind, list(elements), missing)
+    return notes + _left_out_keyframes(spec)
 
 
 def _left_out(spec: mujoco.MjSpec, kind: str, elements: list[Any],
@@ -316,15 +289,14 @@ def _objects(spec: mujoco.MjSpec, tree: BodyTree) -> list[Any]:
 def _is_tied(model: mujoco.MjModel, bodies: list[int]) -> bool:
     """Return whether an equality constraint ties some of the bodies to others but the world."""
     inside = {0, *bodies}
-    of_bodies = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-    for kind, objtype, first, second in zip(model.eq_type, model.eq_objtype, model.eq_obj1id,
-                                            model.eq_obj2id):
-        if int(kind) == int(mujoco.mjtEq.mjEQ_JOINT) and second >= 0:
-            first, second = model.jnt_bodyid[[first, second]]
-        elif int(kind) not in of_bodies:
+    for equality, kind in enumerate(model.eq_type.tolist()):
+        joints = model.eq_obj1id[equality], model.eq_obj2id[equality]
+        if kind == int(_EQ.mjEQ_JOINT) and joints[1] >= 0:
+            first, second = model.jnt_bodyid[[*joints]].tolist()
+        elif kind in _OF_OBJTYPE:
+            first, second = tied_bodies(model, equality)
+        else:
             continue
-        elif int(objtype) == int(mujoco.mjtObj.mjOBJ_SITE):
-            first, second = model.site_bodyid[[first, second]]
         if (first in inside) != (second in inside):
             return True
     return False
@@ -487,11 +459,8 @@ def find_mocap_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, key: int | Non
 def _unheld(model: mujoco.MjModel) -> list[str]:
     """Return which other bodies connect constraints and welds of sites tie to mocap bodies."""
     names = []
-    for equality in np.flatnonzero(np.isin(model.eq_type, (_WELD, _CONNECT))).tolist():
-        ends = [int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])]
-        if int(model.eq_objtype[equality]) != _BODY:
-            ends = model.site_bodyid[ends].tolist()
-        others = [end for end in ends if model.body_mocapid[end] < 0]
+    for equality in np.flatnonzero(np.isin(model.eq_type, _OF_OBJTYPE)).tolist():
+        others = [end for end in tied_bodies(model, equality) if model.body_mocapid[end] < 0]
         if len(others) == 1 and others[0] and not _ties(model, equality):
             names.append(str(model.body(others[0]).name))
     return names

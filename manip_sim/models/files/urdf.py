@@ -104,8 +104,14 @@ def load_urdf(file: Path, xacro_args: Mapping[str, str] | None = None, expects_m
         notes += changed
     else:
         spec = _hold(robot, origins, file, files).load_tried(notes)
-    _let_visual_meshes_be_flat(spec)
-    _hide_collision_shapes(spec)
+    colliding = {geom.meshname for body in spec.bodies for geom in _colliding(body)}
+    for mesh in spec.meshes:  # Those without volume may show something; shapes that collide weigh.
+        if mesh.name not in colliding:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    for body in spec.bodies:  # Of links that have any, only the visual shapes are drawn.
+        if len(_colliding(body)) < len(body.geoms):
+            for geom in _colliding(body):
+                geom.group = _COLLISION_GROUP
     notes += complete_joints(spec, robot, fixed)
     notes += _give_mass(spec, robot)
     notes += _take_gravity(spec, robot)
@@ -153,7 +159,12 @@ def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files
     notes = [*find_meshes(robot, file, expects_meshes, files), *_drop_empty_shapes(robot),
              *_make_physical(robot)]
     fixed, said = check_joints(robot, file)
-    compiler = _compiler(robot)
+    extension = robot.find('mujoco')
+    if extension is None:
+        extension = ElementTree.SubElement(robot, 'mujoco')
+    compiler = extension.find('compiler')
+    if compiler is None:
+        compiler = ElementTree.SubElement(extension, 'compiler')
     for attribute, value in (('fusestatic', 'false'), ('discardvisual', 'false'),
                              ('strippath', 'false'), ('balanceinertia', 'true'),
                              ('autolimits', 'true')):
@@ -161,23 +172,6 @@ def _read(file: Path, xacro_args: Mapping[str, str], expects_meshes: bool, files
     for attribute in ('meshdir', 'coordinate'):  # The frames of a URDF are always local.
         compiler.attrib.pop(attribute, None)
     return robot, origins, fixed, [*notes, *said]
-
-
-def _let_visual_meshes_be_flat(spec: mujoco.MjSpec) -> None:
-    """Let meshes without volume be read that only show something; shapes that collide weigh."""
-    colliding = {geom.meshname for geom in spec.geoms if geom.contype or geom.conaffinity}
-    for mesh in spec.meshes:
-        if mesh.name not in colliding:
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-
-
-def _hide_collision_shapes(spec: mujoco.MjSpec) -> None:
-    """Draw only the visual shapes of links that have any."""
-    for body in spec.bodies:
-        colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
-        if len(colliding) < len(body.geoms):
-            for geom in colliding:
-                geom.group = _COLLISION_GROUP
 
 
 def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
@@ -204,15 +198,6 @@ def _elements(file: Path, xacro_args: Mapping[str, str], files: Files | None
     if not model.is_urdf:
         raise ModelError(f"{file} is not URDF: its root is {quoted(model.root)}, not 'robot'")
     return model.tree, {} if is_xacro else model.origins
-
-
-def _compiler(robot: ElementTree.Element) -> ElementTree.Element:
-    """Return the element with settings for MuJoCo's compiler, a new one if there is none."""
-    extension = robot.find('mujoco')
-    if extension is None:
-        extension = ElementTree.SubElement(robot, 'mujoco')
-    compiler = extension.find('compiler')
-    return ElementTree.SubElement(extension, 'compiler') if compiler is None else compiler
 
 
 def _drop_empty_shapes(robot: ElementTree.Element) -> list[str]:
@@ -261,7 +246,8 @@ def _give_mass(spec: mujoco.MjSpec, robot: ElementTree.Element) -> list[str]:
     for body in spec.bodies[1:]:
         # Links on it may be heavy: MuJoCo wants a mass of its own nevertheless.
         if (body.name in without and len(body.joints)
-                and not any(_has_mass(other, without) for other in _with_fixed(body))):
+                and not any(other.name not in without or _colliding(other)
+                            for other in _with_fixed(body))):
             body.mass, body.inertia = _LIGHT_KG, [_LIGHT_INERTIA] * 3
             body.explicitinertial = True
             light.append(body.name)
@@ -290,11 +276,6 @@ def _with_fixed(body: Any) -> Iterator[Any]:
         body = left.pop()
         yield body
         left += [child for child in body.bodies if not child.joints]
-
-
-def _has_mass(body: Any, without_inertia: set[str]) -> bool:
-    return body.name not in without_inertia or any(
-        geom.contype or geom.conaffinity for geom in body.geoms)
 
 
 def masses_from_shapes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
@@ -424,19 +405,13 @@ def _make_physical(robot: ElementTree.Element) -> list[str]:
         if moments.min() < 0.0 or (moments.min() <= zero and (kilograms > 0.0 or needs_mass)):
             _write(inertia, axes * np.maximum(moments, _LEAST_INERTIA) @ axes.T)
             projected.append(name)
-    notes = []
-    if massless:
-        notes.append(f'left out: <inertial> without <mass>, of {quoted_names(massless)}')
-    if balls:
-        notes.append('the moment of inertia of a ball of water for links whose <inertial> has no '
-                     f'<inertia>: {quoted_names(balls)}')
-    if weightless:
-        notes.append(f'{_LEAST_KG * 1e3:g} g for moving links of mass 0: '
-                     f'{quoted_names(weightless)}')
-    if projected:
-        notes.append('moments of inertia that are not positive became '
-                     f'{_LEAST_INERTIA:g} kg m^2: {quoted_names(projected)}')
-    return notes
+    return [said + quoted_names(names) for names, said in (
+        (massless, 'left out: <inertial> without <mass>, of '),
+        (balls, 'the moment of inertia of a ball of water for links whose <inertial> has no '
+                '<inertia>: '),
+        (weightless, f'{_LEAST_KG * 1e3:g} g for moving links of mass 0: '),
+        (projected, 'moments of inertia that are not positive became '
+                    f'{_LEAST_INERTIA:g} kg m^2: ')) if names]
 
 
 def _moment_of_ball(mass: ElementTree.Element) -> float:

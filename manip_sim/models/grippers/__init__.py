@@ -95,11 +95,6 @@ class GripperModel(MujocoXMLModel, ABC):
     #: The body that is the grasp frame.
     _eef_body = 'eef'
 
-    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        if registered:
-            GRIPPERS.register(cls)
-
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         super().__init__(fname, idn=idn)
         self._root()
@@ -304,6 +299,7 @@ class GripperModel(MujocoXMLModel, ABC):
 
 GRIPPERS: Registry[GripperModel] = Registry(
     'gripper', GripperModel)  # type: ignore[type-abstract]
+GripperModel.registry = GRIPPERS
 
 
 def add_standard_elements(spec: mujoco.MjSpec, mount: mujoco.MjsBody, eef: mujoco.MjsBody,

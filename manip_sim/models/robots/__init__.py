@@ -382,4 +382,5 @@ if not TYPE_CHECKING:
 
 __all__ = [
     'Baxter', 'FR3', 'GR1', 'IIWA', 'Jaco', 'Kinova3', 'ManipulatorModel', 'Panda', 'PandaOmron',
-    'RobotModel', 'SO101', 'Sawyer', 'Tiago', 'UR5e', 'XArm7', 'create_robot', 'robot_names']
+    'Placement', 'RobotModel', 'SO101', 'Sawyer', 'Tiago', 'UR5e', 'XArm7', 'create_robot',
+    'robot_names']

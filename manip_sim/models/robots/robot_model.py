@@ -93,11 +93,6 @@ class RobotModel(MujocoXMLModel, ABC):
     other_actuators: list[str] = _sorted(
         'actuators', 'other', 'Actuators of the joints of no other subsystem.')
 
-    def __init_subclass__(cls, registered: bool = True, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        if registered:
-            ROBOTS.register(cls)
-
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         super().__init__(fname, idn=idn)
         self._root()
@@ -510,11 +505,8 @@ class RobotModel(MujocoXMLModel, ABC):
             raise ModelError(f'{owner}: it has no such joints')
         specs = [part._spec.joint(raw) for part, raw in joints]
         actuation = JointActuation([part.correct_naming(raw) for part, raw in joints], owner,
-                                   read_catalogue(self.file.parent, subsystem))
-        if friction is not None:
-            actuation.set_friction(friction)
-        if torque_speed is not None:
-            actuation.set_torque_speed(torque_speed)
+                                   read_catalogue(self.file.parent, subsystem), friction,
+                                   torque_speed)
         for attrib, values in (*actuation.attributes(), *(
                 () if armature is None else
                 [('armature', actuation.of_each(single(armature, owner), 'armature'))])):
@@ -571,3 +563,4 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
 
 
 ROBOTS: Registry[RobotModel] = Registry('robot', RobotModel)  # type: ignore[type-abstract]
+RobotModel.registry = ROBOTS

@@ -19,6 +19,7 @@ from manip_sim.models.actuators import (
     declared_velocity, JOINT_TRANSMISSIONS, velocity_of_servos)
 from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
+from manip_sim.models.couplings import tied_bodies
 from manip_sim.models.urdf_writer.links import (
     build_tree, collides, files_of_meshes, geoms_of_body, is_seen, Joint, KinematicTree, Link,
     MeshFile, rgba_of, robot_tree, Shape, shapes_of, text_of)
@@ -43,7 +44,7 @@ _FAR_M = 1000.0
 DEFAULT_VELOCITY = float(np.pi)
 #: Of a joint whose actuators have no limit [N m or N].
 DEFAULT_EFFORT = 1000.0
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_HINGE, _EQ = int(mujoco.mjtJoint.mjJNT_HINGE), mujoco.mjtEq
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
 
@@ -95,7 +96,12 @@ class _UrdfWriter:
         geoms = [g for body in tree.link_of_body for g in geoms_of_body(model, body)]
         #: Without visual geoms, those that collide are shown.
         self._shows_all = not any(is_seen(model, geom) for geom in geoms)
-        self._notes += _loops(model, set(tree.link_of_body))
+        bodies, kinds = set(tree.link_of_body), (int(_EQ.mjEQ_CONNECT), int(_EQ.mjEQ_WELD))
+        loops = [e for e in range(model.neq) if int(model.eq_type[e]) in kinds
+                 and model.eq_active0[e] and bodies.issuperset(tied_bodies(model, e))]
+        if loops:
+            self._notes.append(f'{len(loops)} constraints between bodies close loops: a URDF is a '
+                               'tree')
 
     def write(self, hardware: Hardware | None) -> Urdf:
         """Write the URDF and return it."""
@@ -172,26 +178,9 @@ class _UrdfWriter:
             geometry = ElementTree.SubElement(element, 'geometry')
             ElementTree.SubElement(geometry, shape.tag, dict(shape.attributes))
             if tag == 'visual':
-                ElementTree.SubElement(element, 'material', name=self._material(geom))
-
-    def _material(self, geom: int) -> str:
-        rgba = [round(float(part), 4) for part in rgba_of(self._model, geom)]
-        return self._materials.setdefault(text_of(rgba), f'colour_{len(self._materials)}')
-
-
-def _loops(model: mujoco.MjModel, bodies: set[int]) -> list[str]:
-    """Return a note of the constraints that close loops, which a URDF, a tree, cannot have."""
-    kinds = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-    count = sum(1 for e in range(model.neq) if int(model.eq_type[e]) in kinds
-                and model.eq_active0[e] and _bodies_of(model, e) <= bodies)
-    return [f'{count} constraints between bodies close loops: a URDF is a tree'] if count else []
-
-
-def _bodies_of(model: mujoco.MjModel, equality: int) -> set[int]:
-    ends = {int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])}
-    if int(model.eq_objtype[equality]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        return {int(model.site_bodyid[site]) for site in ends}
-    return ends
+                rgba = text_of([round(float(part), 4) for part in rgba_of(self._model, geom)])
+                name = self._materials.setdefault(rgba, f'colour_{len(self._materials)}')
+                ElementTree.SubElement(element, 'material', name=name)
 
 
 def _add_origin(element: ElementTree.Element, position: FloatArray, rotation: FloatArray) -> None:
@@ -420,7 +409,7 @@ def _spread(head: int, couplings: list[_Coupling], mimics: dict[int, Mimic],
 
 def _coupling(model: mujoco.MjModel, equality: int) -> _Coupling | None:
     """Return the active coupling of two joints by an equality, in positions, or None."""
-    if (int(model.eq_type[equality]) != int(mujoco.mjtEq.mjEQ_JOINT)
+    if (int(model.eq_type[equality]) != int(_EQ.mjEQ_JOINT)
             or not model.eq_active0[equality] or int(model.eq_obj2id[equality]) < 0):
         return None
     follower, leader = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
