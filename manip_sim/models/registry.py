@@ -67,7 +67,7 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str, base: type[T], takes: tuple[str, ...] = ('idn',),
                  key: Callable[[type[T]], str | None] = lambda cls: cls.__name__) -> None:
-        self.kind = kind
+        self.kind, self._folder, self._group = kind, f'{kind}s', f'manip_sim.{kind}s'
         self._base = base
         self._takes = takes
         self._key = key
@@ -158,14 +158,6 @@ class Registry(Generic[T]):
         except ModelError as error:
             raise AttributeError(f"module '{module}' has no '{name}': {error}") from error
         raise AttributeError(f"module '{module}' has no attribute '{name}'")
-
-    @property
-    def _folder(self) -> str:
-        return f'{self.kind}s'
-
-    @property
-    def _group(self) -> str:
-        return f'manip_sim.{self._folder}'
 
     def _load(self, name: str, offer: Offer) -> type[T]:
         if offer not in self._loaded:
@@ -265,18 +257,14 @@ def names_in_folders(kind: str) -> dict[str, Path]:
     for folder in model_path():
         if not (folder / kind).is_dir():
             continue
-        for entry in sorted((folder / kind).iterdir(), key=_rank):
+        # Descriptions come before the models that they describe.
+        for entry in sorted((folder / kind).iterdir(), key=lambda entry: (
+                [*_SUFFIXES, entry.suffix].index(entry.suffix), entry.name)):
             if entry.is_dir() and _of_folder(entry, kind) is not None:
                 models.setdefault(entry.name, entry)
             elif entry.is_file() and entry.suffix in _SUFFIXES:
                 models.setdefault(entry.stem, entry)
     return models
-
-
-def _rank(entry: Path) -> tuple[int, str]:
-    """Return a key that sorts descriptions before the models that they describe."""
-    is_suffix = entry.suffix in _SUFFIXES
-    return (_SUFFIXES.index(entry.suffix) if is_suffix else len(_SUFFIXES), entry.name)
 
 
 def _of_folder(folder: Path, kind: str) -> Path | None:

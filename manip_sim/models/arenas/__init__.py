@@ -270,23 +270,20 @@ class TableArena(Arena):
                         friction=friction)
         super().__init__(asset_path('arenas', 'table'))
         self._length_m = table_length_m
-        self._fit_table(np.array([table_length_m, table_width_m]), table_height_m)
-        self._lift_cameras(table_height_m - _TABLE_HEIGHT_M)
-        self._spec.geom('table_collision').friction[0] = friction
-        if cube:
-            self._objects.append(_cube(table_height_m))
-        self.refresh()
-
-    def _fit_table(self, edges_m: FloatArray, height_m: float) -> None:
-        spec = self._spec
+        spec, edges_m = self._spec, np.array([table_length_m, table_width_m])
         thickness = 2.0 * spec.geom('table_collision').size[2]
-        spec.body('table').pos[2] = height_m - thickness / 2.0
+        spec.body('table').pos[2] = table_height_m - thickness / 2.0
         spec.geom('table_collision').size[:2] = edges_m / 2.0
-        half_leg = (height_m - thickness) / 2.0
+        half_leg = (table_height_m - thickness) / 2.0
         for leg in (geom for geom in spec.geoms if geom.name.startswith('table_leg')):
             leg.pos[:2] = np.sign(leg.pos[:2]) * (edges_m / 2.0 - _LEG_INSET_M)
             leg.pos[2] = -thickness / 2.0 - half_leg
             leg.size[1] = half_leg
+        self._lift_cameras(table_height_m - _TABLE_HEIGHT_M)
+        spec.geom('table_collision').friction[0] = friction
+        if cube:
+            self._objects.append(_cube(table_height_m))
+        self.refresh()
 
     @property
     def table_length_m(self) -> float:

@@ -83,9 +83,12 @@ class HandFromFile(GripperModel, registered=False):
         orientation: ArrayLike = point.orientation if point else np.zeros(3)
         if point is None and at == mount:
             position = (middle or fingers.grasp_point)()
-            orientation = _upright(tree, hand.body)
+            orientation = [1.0, 0.0, 0.0, 0.0]
+            if not tree.parent(hand.body):  # As the mount is, in whose frame the root is.
+                orientation = relative_quat_wxyz(tree.model.body_quat[hand.body], orientation)
         if point is None:
-            origin = f"the middle of the fingertips, {_rounded(position)} m in '{mount}'"
+            rounded = ' '.join(f'{number:.3f}' for number in np.round(position, 3) + 0.0)
+            origin = f"the middle of the fingertips, {rounded} m in '{mount}'"
             self.inferred.append(
                 'grasp frame: ' + (origin if at == mount else f"{place[0]} '{at}'"))
         self.grasp_point = FrameDescription(
@@ -178,17 +181,6 @@ class HandFromFile(GripperModel, registered=False):
         """Start positions of the joints [rad or m], shape (number of joints,), a copy."""
         # A ball joint has no start: it stays at the unit quaternion, whose w is 1.
         return np.array([self._start.get(joint, 1.0) for joint in self._joints])
-
-
-def _upright(tree: BodyTree, body: int) -> FloatArray:
-    """Return the rotation of the mount in a root body, w, x, y, z; identity in another body."""
-    if tree.parent(body) != 0:
-        return np.array([1.0, 0.0, 0.0, 0.0])
-    return relative_quat_wxyz(tree.model.body_quat[body], (1.0, 0.0, 0.0, 0.0))
-
-
-def _rounded(position: ArrayLike) -> str:
-    return ' '.join(f'{number:.3f}' for number in np.round(np.asarray(position), 3) + 0.0)
 
 
 def _fill_control_ranges(spec: mujoco.MjSpec, model: mujoco.MjModel, actuators: list[int]
@@ -363,17 +355,6 @@ def _place_root(spec: mujoco.MjSpec, position: ArrayLike, quat_wxyz: FloatArray)
     root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
-def _let_arm_carry(spec: mujoco.MjSpec) -> list[str]:
-    """Remove the free joint of a hand, and its pose in the air; return that in a sentence."""
-    free = [joint for joint in spec.worldbody.bodies[0].joints
-            if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE)]
-    if not free:
-        return []
-    delete_elements(spec, free)
-    _place_root(spec, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-    return ['left out, as the arm carries the hand: the free joint of its root']
-
-
 def _stand_on_mount(spec: mujoco.MjSpec, tree: BodyTree, hand: FoundHand,
                     start: Mapping[str, float]) -> list[str]:
     """
@@ -482,7 +463,13 @@ class FileGripper(HandFromFile, registered=False):
         self._keyframes = model_file.keyframes
         self._start = model_file.start
         spec = model_file.spec
-        self.inferred += _let_arm_carry(spec)
+        free = [joint for joint in spec.worldbody.bodies[0].joints
+                if int(joint.type) == int(mujoco.mjtJoint.mjJNT_FREE)]
+        if free:  # Its pose in the air goes with it.
+            delete_elements(spec, free)
+            _place_root(spec, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+            self.inferred.append(
+                'left out, as the arm carries the hand: the free joint of its root')
         if declared.mount is not None:
             _place_root(spec, declared.mount.position, quat_wxyz_of(declared.mount.orientation))
         elif spec.body('eef') is None:

@@ -148,7 +148,8 @@ def single_tree(spec: mujoco.MjSpec, model: mujoco.MjModel, file: object) -> tup
         ('shape', world.geoms), ('site', world.sites)) if elements)
     free = [body for body in roots if _is_free(body)]
     # A camera that follows an omitted body has nothing to look at.
-    cameras = [camera for camera in cameras if camera.has_target(spec)]
+    cameras = [camera for camera in cameras
+               if not camera.target or spec.body(camera.target) is not None]
     if cameras:
         names = quoted_names([camera.name for camera in cameras])
         notes.append(f'left out: {pluralize(len(cameras), "camera")} of the world body ({names})'
@@ -182,14 +183,9 @@ class _CameraOfWorld:
     """A camera of the world body, which moves to a root."""
 
     def __init__(self, model: mujoco.MjModel, camera: Any) -> None:
-        self.name = str(camera.name)
+        self.name, self.target = str(camera.name), str(camera.targetbody)
         self._pose = model.camera(self.name).pos.copy(), model.camera(self.name).quat.copy()
         self._rest = {key: copy.copy(getattr(camera, key)) for key in _OF_CAMERA}
-
-    def has_target(self, spec: mujoco.MjSpec) -> bool:
-        """Return whether a spec has the body that it follows, if it follows one."""
-        target = self._rest['targetbody']
-        return not target or spec.body(target) is not None
 
     def add_to(self, root: Any, position: FloatArray, quat_wxyz: FloatArray) -> None:
         """Add it to a root body that has a pose in the world."""
@@ -451,9 +447,13 @@ def find_mocap_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, key: int | Non
             mocap]
         quat = model.body(name).quat if key is None else model.key_mquat[key].reshape(-1, 4)[mocap]
         poses[name] = np.concatenate([position, quat])
-    return MocapBodies(_alone(spec, set(bodies)), tuple(bodies), poses, tuple(
-        _weld(model, equality) for equality in range(model.neq) if _ties(model, equality)),
-        key is not None, tuple(_unheld(model)))
+    welds = tuple(Weld(
+        str(model.equality(weld).name), (str(model.body(model.eq_obj1id[weld]).name),
+                                         str(model.body(model.eq_obj2id[weld]).name)),
+        model.eq_data[weld].copy(), bool(model.eq_active0[weld]), model.eq_solref[weld].copy(),
+        model.eq_solimp[weld].copy()) for weld in range(model.neq) if _ties(model, weld))
+    return MocapBodies(_alone(spec, set(bodies)), tuple(bodies), poses, welds, key is not None,
+                       tuple(_unheld(model)))
 
 
 def _unheld(model: mujoco.MjModel) -> list[str]:
@@ -473,14 +473,6 @@ def _ties(model: mujoco.MjModel, equality: int) -> bool:
     ends = [int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])]
     mocap = [int(model.body_mocapid[end]) >= 0 for end in ends]
     return any(mocap) and not all(mocap) and all(ends)
-
-
-def _weld(model: mujoco.MjModel, equality: int) -> Weld:
-    first, second = (str(model.body(int(body)).name) for body in (
-        model.eq_obj1id[equality], model.eq_obj2id[equality]))
-    return Weld(str(model.equality(equality).name), (first, second),
-                model.eq_data[equality].copy(), bool(model.eq_active0[equality]),
-                model.eq_solref[equality].copy(), model.eq_solimp[equality].copy())
 
 
 def _alone(spec: mujoco.MjSpec, names: set[str]) -> Any:

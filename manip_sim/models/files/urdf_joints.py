@@ -60,8 +60,11 @@ def check_joints(robot: ElementTree.Element, file: Path) -> tuple[dict[str, floa
     unlimited, swapped, of_sdf = [], [], []
     for name, joint in joints.items():
         limit, kind = joint.find('limit'), joint.get('type')
-        if _read_minus_one(limit):
-            of_sdf.append(name)
+        if limit is not None:  # SDF writes -1 for none.
+            none = [key for key in ('effort', 'velocity')
+                    if re.fullmatch(r'\s*-1(\.0*)?\s*', limit.get(key, ''))]
+            limit.attrib.update(dict.fromkeys(none, '0'))
+            of_sdf += [name] * bool(none)
         _reject_negative(limit, ('effort', 'velocity'), name, file)
         _reject_negative(joint.find('dynamics'), ('damping', 'friction'), name, file)
         if kind in _MOVES:
@@ -128,15 +131,6 @@ def _numbers(element: ElementTree.Element | None, attributes: Sequence[str], joi
                              f'must be a finite number, got {quoted(text)}')
         values.append(value)
     return values
-
-
-def _read_minus_one(limit: ElementTree.Element | None) -> bool:
-    """Return whether a limit of effort or velocity is SDF's -1 for none, which becomes 0."""
-    none = [attribute for attribute in ('effort', 'velocity')
-            if limit is not None and re.fullmatch(r'\s*-1(\.0*)?\s*', limit.get(attribute, ''))]
-    if limit is not None:
-        limit.attrib.update(dict.fromkeys(none, '0'))
-    return bool(none)
 
 
 def _reject_negative(element: ElementTree.Element | None, attributes: Sequence[str], joint: str,

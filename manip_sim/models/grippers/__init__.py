@@ -112,7 +112,8 @@ class GripperModel(MujocoXMLModel, ABC):
             self.current_action = np.zeros(self.dof)
 
     def _prepare_spec(self, spec: mujoco.MjSpec) -> None:
-        mount = self._mount_body(spec)
+        self._spec = spec
+        mount = self._root()
         # The arm carries the gripper; only a body of the world can be free.
         delete_elements(spec, [joint for joint in mount.joints if int(joint.type) == _FREE])
         eef = spec.body('eef')
@@ -149,10 +150,6 @@ class GripperModel(MujocoXMLModel, ABC):
     def cups(self) -> list[str]:
         """Actuators of suction cups, each of which pulls only while all of its lip touches."""
         return self.correct_naming(list(self._cups))
-
-    def _mount_body(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
-        self._spec = spec
-        return self._root()
 
     @property
     def bottom_offset(self) -> FloatArray:

@@ -44,7 +44,7 @@ _FAR_M = 1000.0
 DEFAULT_VELOCITY = float(np.pi)
 #: Of a joint whose actuators have no limit [N m or N].
 DEFAULT_EFFORT = 1000.0
-_HINGE, _EQ = int(mujoco.mjtJoint.mjJNT_HINGE), mujoco.mjtEq
+_EQ = mujoco.mjtEq
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 
 
@@ -137,7 +137,8 @@ class _UrdfWriter:
         limits = {
             'effort': effort_limit(model, number, self._actuators.get(number, [])),
             'velocity': velocity_limit(model, number, self._mimics, self._actuators),
-            **dict(zip(('lower', 'upper'), position_limits(model, number)))}
+            **dict(zip(('lower', 'upper'), model.jnt_range[number] if model.jnt_limited[number]
+                       else () if joint.kind == 'continuous' else (-_FAR_M, _FAR_M)))}
         ElementTree.SubElement(element, 'limit',
                                {key: text_of(value) for key, value in limits.items()})
         dof = int(model.jnt_dofadr[number])
@@ -443,13 +444,6 @@ def actuated_joints(model: mujoco.MjModel) -> dict[int, list[tuple[int, float]]]
         for joint, coefficient in terms:
             actuators.setdefault(joint, []).append((actuator, abs(gear * coefficient)))
     return actuators
-
-
-def position_limits(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
-    """Return the least and greatest position [rad or m]; nothing for a hinge without a range."""
-    if model.jnt_limited[joint]:
-        return tuple(model.jnt_range[joint])
-    return () if int(model.jnt_type[joint]) == _HINGE else (-_FAR_M, _FAR_M)
 
 
 def effort_limit(model: mujoco.MjModel, joint: int, actuators: list[tuple[int, float]]) -> float:

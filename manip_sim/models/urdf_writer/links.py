@@ -182,7 +182,10 @@ def build_tree(model: mujoco.MjModel, root: int, sites: list[int], placed: Colle
     for camera in range(model.ncam):
         fixed = int(model.cam_mode[camera]) == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
         if fixed and int(model.cam_bodyid[camera]) in tree.link_of_body:
-            _add_camera(model, tree, camera, names)
+            name = tree.link_of_camera[camera] = names.cameras[camera]
+            tree.add_fixed(Link(name), tree.link_of_body[int(model.cam_bodyid[camera])],
+                           model.cam_pos[camera], matrix_of(model.cam_quat[camera]))
+            tree.add_fixed(Link(names.opticals[camera]), name, np.zeros(3), _TO_OPTICAL)
     return tree
 
 
@@ -203,14 +206,6 @@ def joints_of_body(model: mujoco.MjModel, body: int) -> range:
 
 def _joint_name(model: mujoco.MjModel, joint: int) -> str:
     return model.joint(joint).name or f'joint_{joint}'
-
-
-def _add_camera(model: mujoco.MjModel, tree: KinematicTree, camera: int, names: FrameNames
-                ) -> None:
-    name = tree.link_of_camera[camera] = names.cameras[camera]
-    tree.add_fixed(Link(name), tree.link_of_body[int(model.cam_bodyid[camera])],
-                   model.cam_pos[camera], matrix_of(model.cam_quat[camera]))
-    tree.add_fixed(Link(names.opticals[camera]), name, np.zeros(3), _TO_OPTICAL)
 
 
 def _add_body(model: mujoco.MjModel, tree: KinematicTree, body: int) -> None:
