@@ -536,7 +536,11 @@ def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
     if file.suffix.lower() == '.mjcf':  # MuJoCo chooses a reader by the suffix.
         spec, dropped = read_mjcf(file)
     else:
-        spec, dropped = _read_file(file)
+        try:
+            # Of a relative path, MuJoCo repeats the folders before files that included ones name.
+            spec, dropped = mujoco.MjSpec.from_file(os.path.abspath(file)), []
+        except ERRORS:
+            spec, dropped = read_mjcf(file)
     _report(dropped, notes)
     missing: dict[tuple[str, str], MissingMeshError] = {}
     resolve_files(spec, file, model, None if notes is None else missing)
@@ -544,14 +548,6 @@ def load_spec(file: Path, notes: list[str] | None = None) -> mujoco.MjSpec:
         notes += skip_missing(spec, missing, file)
     _apply_total_mass(spec, file)
     return spec
-
-
-def _read_file(file: Path) -> tuple[mujoco.MjSpec, list[str]]:
-    try:
-        # Of a relative path, MuJoCo repeats the folders before files that included ones name.
-        return mujoco.MjSpec.from_file(os.path.abspath(file)), []
-    except ERRORS:
-        return read_mjcf(file)
 
 
 def _report(sentences: list[str], notes: list[str] | None) -> None:

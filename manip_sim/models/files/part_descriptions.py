@@ -172,11 +172,6 @@ class ArenaDescription(Description):
     #: Areas where objects are placed, by name, which are checked elsewhere.
     placements: dict[Name, Any] = {}
 
-    @property
-    def has_parts(self) -> bool:
-        """True if it says more than where robots stand."""
-        return bool(self.arena or self.fixtures or self.objects or self.placements)
-
 
 DescriptionT = TypeVar('DescriptionT', bound=Description)
 
@@ -213,7 +208,9 @@ def read_description(file: Path, kind: type[DescriptionT], files: Files | None =
 
 
 def _explained(file: Path, kind: type[Strict], error: Any) -> ModelError:
-    place = [str(part) for part in error['loc'] if not _is_of_union(part)]
+    # A part of a location may also name a member of a union, which is no key in the file.
+    place = [str(part) for part in error['loc'] if not (
+        isinstance(part, str) and ('[' in part or part in _UNION_MEMBERS))]
     if error['type'] == 'extra_forbidden':
         parent = '.'.join(place[:-1])
         return UnknownNameError(f'key of {file}{f", {parent}" if parent else ""}', place[-1],
@@ -224,11 +221,6 @@ def _explained(file: Path, kind: type[Strict], error: Any) -> ModelError:
     subject = f"'{'.'.join(place)}' of {file}" if place else str(file)
     return ModelError(f'{subject}: {message[:1].lower()}{message[1:]}, '
                       f'got {quoted(error["input"])}')
-
-
-def _is_of_union(part: Any) -> bool:
-    """Return whether a part of a location is the name of a union member, not a key in the file."""
-    return isinstance(part, str) and ('[' in part or part in _UNION_MEMBERS)
 
 
 _UNION_MEMBERS = {'str', 'FrameDescription', 'OwnHandDescription', 'constrained-str'}
@@ -357,7 +349,8 @@ def _model_of(file: Path, description: Description, stem: str, files: Files) -> 
     models = _models_in(file.parent, files) if file.stem == stem else []
     if len(models) == 1:
         return models[0]
-    if isinstance(description, ArenaDescription) and description.has_parts:
+    if isinstance(description, ArenaDescription) and (
+            description.fixtures or description.objects or description.placements):
         return file
     raise ModelError(f"{file} must say which 'model' it describes: there is no "
                      f'{file.with_suffix(".xml").name} beside it')

@@ -367,7 +367,7 @@ def add_tactile_sensors(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco
         else:
             grid = _rings(float(size[0]), float(size[1]))
         body = spec.body(model.body(model.geom_bodyid[pad]).name)
-        _add(spec, body, name, grid, model.geom_pos[pad], model.geom_quat[pad])
+        _add(spec, body, name, *grid, model.geom_pos[pad], model.geom_quat[pad])
     return names
 
 
@@ -386,23 +386,9 @@ def _pads(model: mujoco.MjModel) -> Iterator[tuple[str, int]]:
                 yield name.removesuffix(_TOUCH) + _TACTILE, geom
 
 
-class _Grid:
-    """
-    Points in rows, each with a normal and two tangents.
-
-    :param points: in the frame of the pad [m], shape (rows, columns, 3)
-    :param frames: normal and tangents, shape (rows, columns, 3, 3)
-    """
-
-    def __init__(self, points: FloatArray, frames: FloatArray, closed: bool = False) -> None:
-        self.points, self.frames = points, frames
-        rows, columns = points.shape[:2]
-        ids = np.arange(rows * columns).reshape(rows, columns)
-        if closed:
-            ids = np.column_stack([ids, ids[:, 0]])
-        near, far = ids[:-1], ids[1:]
-        self.triangles = np.stack([
-            near[:, :-1], far[:, :-1], near[:, 1:], far[:, 1:], near[:, 1:], far[:, :-1]], axis=-1)
+#: Points in rows in the frame of a pad [m], shape (rows, columns, 3), the normal and two tangents
+#: of each, shape (rows, columns, 3, 3), and whether the last column is beside the first.
+_Grid = tuple[FloatArray, FloatArray, bool]
 
 
 def _centres(half: float) -> FloatArray:
@@ -421,7 +407,7 @@ def _face(size: FloatArray, inward: FloatArray) -> _Grid:
     points[..., normal] = np.copysign(size[normal], inward[normal])
     frame = np.eye(3)[[normal, first, second]]
     frame[0] *= np.sign(inward[normal])
-    return _Grid(points, np.broadcast_to(frame, (*across.shape, 3, 3)))
+    return points, np.broadcast_to(frame, (*across.shape, 3, 3)), False
 
 
 def _rings(radius: float, half: float) -> _Grid:
@@ -432,16 +418,22 @@ def _rings(radius: float, half: float) -> _Grid:
     normal = np.stack([np.cos(angle), np.sin(angle), zero], axis=-1)
     around = np.stack([-np.sin(angle), np.cos(angle), zero], axis=-1)
     upward = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
-    return _Grid(radius * normal + along[..., None] * upward,
-                 np.stack([normal, upward, around], axis=-2), closed=True)
+    return (radius * normal + along[..., None] * upward,
+            np.stack([normal, upward, around], axis=-2), True)
 
 
-def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, grid: _Grid, pos: FloatArray,
-         quat_wxyz: FloatArray) -> None:
+def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, points: FloatArray,
+         frames: FloatArray, closed: bool, pos: FloatArray, quat_wxyz: FloatArray) -> None:
     """Add a sensor, with the mesh and the shape that MuJoCo takes its points from."""
+    rows, columns = points.shape[:2]
+    ids = np.arange(rows * columns).reshape(rows, columns)
+    if closed:
+        ids = np.column_stack([ids, ids[:, 0]])
+    near, far = ids[:-1], ids[1:]
+    triangles = np.stack([
+        near[:, :-1], far[:, :-1], near[:, 1:], far[:, 1:], near[:, 1:], far[:, :-1]], axis=-1)
     spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-                  uservert=grid.points.ravel(), usernormal=grid.frames.ravel(),
-                  userface=grid.triangles.ravel())
+                  uservert=points.ravel(), usernormal=frames.ravel(), userface=triangles.ravel())
     # MuJoCo moves the points of a mesh to its centre; a shape of that mesh puts them back.
     body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, pos=pos,
                   quat=quat_wxyz, contype=0, conaffinity=0, group=_GROUP, mass=0.0)

@@ -332,16 +332,14 @@ class RobotModel(MujocoXMLModel, ABC):
         names = self.actuators_of(subsystem)
         checked = finite_numbers(action, len(names), f'an action of the {subsystem} of '
                                  f'{self.name}', CommandError)
-        low, high = np.asarray(self._ctrlrange(names) if ctrlrange is None else ctrlrange,
-                               dtype=float).reshape(-1, 2).T
+        if ctrlrange is None:
+            ranges = {name: range_ for part in self._own_parts()
+                      for name, range_ in part.control_ranges.items()}
+            ctrlrange = [ranges[name] for name in names]
+        low, high = np.asarray(ctrlrange, dtype=float).reshape(-1, 2).T
         commands = low + (np.clip(checked, -1.0, 1.0) + 1.0) / 2.0 * (high - low)
         # Rounding may exceed an end of the range.
         return np.asarray(np.clip(commands, low, high))
-
-    def _ctrlrange(self, names: list[str]) -> FloatArray:
-        ranges = {name: range_ for part in self._own_parts()
-                  for name, range_ in part.control_ranges.items()}
-        return np.array([ranges[name] for name in names])
 
     # ------------------------------------------------------------------ composing
 
@@ -499,7 +497,10 @@ class RobotModel(MujocoXMLModel, ABC):
         :raises UnknownNameError: if the subsystem is unknown
         """
         from manip_sim.models.descriptions import JointActuation, read_catalogue, single
-        joints = self._scalar_joints(subsystem)
+        names = self.joints_of(subsystem)
+        joints = [(part, raw) for part in self._own_parts() for raw in part._joints
+                  if part.correct_naming(raw) in names
+                  and int(part._spec.joint(raw).type) in SCALAR]
         owner = f'{subsystem} of {self.name}'
         if not joints:
             raise ModelError(f'{owner}: it has no such joints')
@@ -521,13 +522,6 @@ class RobotModel(MujocoXMLModel, ABC):
         """Friction and torque limits over the velocity, by joint; a copy."""
         return {part.correct_naming(raw): law for (part, raw), law in self._laws.items()
                 if law.acts}
-
-    def _scalar_joints(self, subsystem: str) -> list[tuple[MujocoXMLModel, str]]:
-        """Return the hinge and slide joints of a subsystem, by the part that they are in."""
-        names = self.joints_of(subsystem)
-        return [(part, raw) for part in self._own_parts() for raw in part._joints
-                if part.correct_naming(raw) in names
-                and int(part._spec.joint(raw).type) in SCALAR]
 
 
 def _set(joint: mujoco.MjsJoint, attrib: str, value: float) -> None:
