@@ -72,7 +72,6 @@ def add_setpoint_activation(spec: mujoco.MjSpec, names: Iterable[str]) -> None:
     from a joint, MuJoCo's compiler fills in the activation range.
 
     :param spec: the ``mujoco.MjSpec``, changed in place
-    :param names: of the actuators
     :raises ModelError: if a plugin computes the force of one of them
     """
     for name in names:

@@ -311,11 +311,7 @@ def _find(reference: Reference, folders: list[AssetFolders], base_name_too: bool
 
 
 def places(kind: str, name: str, folder: AssetFolders) -> Iterator[Path]:
-    """
-    Yield where a file may be that an element names, the likeliest first.
-
-    :param name: a path or URI
-    """
+    """Yield where a file may be that an element names, the likeliest first."""
     root = Path(os.path.abspath(folder.folder))
     scheme, separator, rest = name.partition('://')
     if separator and scheme == 'file':

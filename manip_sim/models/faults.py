@@ -136,8 +136,6 @@ def planned(fault: Any, source: str) -> PlannedFault:
     """
     Return a fault, checked.
 
-    :param fault: a mapping
-    :param source: it is, for messages
     :raises ModelError: if it cannot be used
     """
     if not isinstance(fault, Mapping):

@@ -156,7 +156,6 @@ def load_self_contained(file: Path, files: Files, as_robot: bool = False) -> Sel
     """
     Read a model and the files that it names.
 
-    :param file: MJCF or URDF
     :param as_robot: keep the keyframes
     :raises ModelError: if a file must not be or cannot be read, or there is too much to read
     """

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from manip_sim.frame_names import ROOT
 from manip_sim.models import compose, create_arena
 from manip_sim.models.robots import robot_names
-from manip_sim.models.urdf_writer import robot_tree
+from manip_sim.models.urdf_writer.links import robot_tree
 from manip_sim.physics.robot_frames import FrameTree
 from manip_sim.simulation import Simulation
 

@@ -21,7 +21,7 @@ from manip_sim.models.loading import compile_spec
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.couplings import tied_bodies
 from manip_sim.models.urdf_writer.links import (
-    build_tree, collides, files_of_meshes, geoms_of_body, is_seen, Joint, KinematicTree, Link,
+    collides, files_of_meshes, geoms_of_body, is_seen, Joint, KinematicTree, Link,
     MeshFile, rgba_of, robot_tree, Shape, shapes_of, text_of)
 from manip_sim.models.world import World
 from manip_sim.quoting import quoted
@@ -254,8 +254,8 @@ def choose_robot(world: World, name: str | None = None) -> RobotModel:
     return robots[name]
 
 
-__all__ = ['build_tree', 'choose_robot', 'Hardware', 'KinematicTree', 'OWN_PLUGIN', 'PLUGINS',
-           'robot_tree', 'TOPIC_PLUGIN', 'Urdf', 'urdf_of', 'urdfs_of', 'write_urdf']
+__all__ = ['choose_robot', 'Hardware', 'OWN_PLUGIN', 'PLUGINS', 'TOPIC_PLUGIN', 'Urdf', 'urdf_of',
+           'urdfs_of', 'write_urdf']
 
 
 @dataclass(frozen=True)

@@ -107,12 +107,7 @@ class KinematicTree:
         self._joint_names = set(joint_names)
 
     def take_name(self, name: str, otherwise: str) -> str:
-        """
-        Reserve a name for a link, and return it.
-
-        :param name: the wanted name
-        :param otherwise: appended to it until it is free
-        """
+        """Reserve a name for a link, with something appended until it is free, and return it."""
         while name in self._link_names:
             name += otherwise
         self._link_names.add(name)
@@ -123,8 +118,6 @@ class KinematicTree:
         """
         Add a link that does not move in its parent.
 
-        :param link: a link with a name of its own
-        :param parent: name of its parent
         :param position: in the parent [m], shape (3,)
         :param rotation: in the parent, shape (3, 3)
         """
