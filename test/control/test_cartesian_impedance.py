@@ -6,7 +6,7 @@
 import math
 import pickle
 
-from end_effector_operator import operator_of, turned
+from end_effector_operator import EndEffectorOperator, operator_of, turned
 import mujoco
 import numpy as np
 import pytest
@@ -442,6 +442,21 @@ def test_gains_that_are_too_high_for_the_timestep_are_stable():
     op.go_to((place + [0.0, 0.05, 0.05], turned([1.0, 0.0, 0.0], 0.2) @ rotation))
     op.run(3.0)
     assert np.abs(op.robot.state().velocity[:7]).max() < 1e-3
+
+
+@pytest.mark.parametrize('goal', [[0.402, 0.046, -0.112], [0.355, -0.032, -0.071]])
+def test_springs_that_are_stronger_than_the_joints_rest_on_a_floor(goal):
+    op = EndEffectorOperator(Simulation(compose('SO101', base='none')), mode='effort')
+    op.robot.joints.cartesian.set('right', 'cartesian_stiffness', [300.0] * 3 + [20.0] * 3)
+    op.robot.joints.cartesian.set('right', 'cartesian_frame', 'world')
+    op.go_to((np.array(goal), op.pose[1]))
+    op.run(8.0)
+    strongest, effort = op.robot.limits('arm')[:, 1], op.robot.state().effort[:5]
+    assert (np.abs(effort) <= strongest).all() and np.abs(effort).max() > 0.999 * strongest.max()
+    assert op.simulation.data.ncon  # It presses.
+    for _ in range(30):
+        op.run(0.01)
+        assert np.abs(op.robot.state().velocity[:5]).max() < 0.002
 
 
 @pytest.mark.parametrize('setting', ['cartesian_stiffness', 'cartesian_damping'])

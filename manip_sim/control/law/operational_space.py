@@ -209,6 +209,9 @@ def impede(world: WorldArrays, loads: Loads, arm: Arm, place: FloatArray, turned
     """
     Write the efforts of the joints, within their limits.
 
+    Where these limit the force, all of it is less, and its direction stays: if single joints gave
+    less than their part, an arm that presses on a floor could swing for ever.
+
     :param loads: payloads, whose weight is carried beside
     :param place: position of the end effector in the world [m], shape (3,)
     :param turned: its rotation in the world, shape (3, 3)
@@ -252,12 +255,20 @@ def impede(world: WorldArrays, loads: Loads, arm: Arm, place: FloatArray, turned
     for i in range(count):
         for k in range(6):
             force[i] += carried[i, k] * springs.push[k]
+    share, held = 1.0, np.empty(count)
     for i in range(count):
         joint = arm.joints[i]
-        effort = (world.bias[joint.dof] - world.carried[joint.dof]
-                  + joint.damping * velocity[i])
+        held[i] = effort = (world.bias[joint.dof] - world.carried[joint.dof]
+                            + joint.damping * velocity[i])
         for j in range(i + 1):
             effort += root[i, j] * force[j]
+        motion.efforts[i] = effort
+        excess, pull = effort - clip(effort, joint.weakest, joint.strongest), effort - held[i]
+        if excess * pull > 0.0:
+            share = min(share, max(0.0, 1.0 - excess / pull))
+    for i in range(count):
+        joint = arm.joints[i]
+        effort = motion.efforts[i] - (1.0 - share) * (motion.efforts[i] - held[i])
         motion.efforts[i] = clip(effort, joint.weakest, joint.strongest)
 
 
