@@ -73,6 +73,11 @@ class Parameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._check_qos_values()
+        # rclpy declares it without a description.
+        node.set_descriptor('use_sim_time', ParameterDescriptor(
+            type=Parameter.Type.BOOL.value,
+            description='Take the time of the node from /clock, which has no effect where the '
+                        'node itself is its source.'))
         self._specs: dict[str, ParameterSpec] = {}
         #: By name.
         self._of_parts: dict[str, _PartParameter] = {}

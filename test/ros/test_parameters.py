@@ -110,6 +110,9 @@ def test_an_integer_is_taken_where_a_double_is_meant(serve, client):
 def test_every_parameter_is_described(serve, client):
     serve()
     names = client.call(ListParameters, 'manip_sim/list_parameters').result.names
+    all_of_them = client.call(DescribeParameters, 'manip_sim/describe_parameters',
+                              DescribeParameters.Request(names=names)).descriptors
+    assert not [one.name for one in all_of_them if not one.description]
     ours = [name for name in names if not re.match('qos_overrides|use_sim_time|start_type', name)]
     assert {'robot', 'gripper', 'base', 'arena', 'prefix', 'control_mode.arm'} <= set(ours)
     response = client.call(DescribeParameters, 'manip_sim/describe_parameters',
