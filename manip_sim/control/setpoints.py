@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray, IntArray
 from manip_sim.control.commands import (
     CommandHandle, JointTrajectory, Ledger, Status, TrajectoryReference)
-from manip_sim.control.streamed_trajectories import PointStreams
 from manip_sim.control.law.records import blank_state, PLACES, records
+from manip_sim.control.streamed_trajectories import PointStreams
 from manip_sim.derived import Derived
 from manip_sim.errors import CommandError
 
@@ -196,7 +196,8 @@ class SetpointGenerator:
         :param messages: how many messages came since the last call, of which this is the last
         :param stamp_s: when it was sent, by any clock [s]; 0: unknown
         """
-        from manip_sim.control.law.stream_timing import wait  # It imports numba.
+        from manip_sim.control.law.streams import wait
+
         # Copies, as compiled code is for arrays that can be written.
         wait(self.joints, np.array(indices), np.array(goals, np.float64), float(period_s),
              float(messages), float(stamp_s), are_velocities)

@@ -121,6 +121,13 @@ class FaultPlan:
             for number, fault in enumerate(self.given, 1)]
 
 
+def _listed(values: Mapping[str, Any], source: str) -> Any:
+    if set(values) != {'faults'}:
+        raise ModelError(f"{source}: expected the key 'faults' and nothing else, got "
+                         f'{", ".join(map(quoted, values)) or "nothing"}')
+    return values['faults']
+
+
 def fault_from_text(text: str) -> dict[str, Any]:
     """
     Return a fault that is written as YAML or JSON on a line, checked.

@@ -359,7 +359,8 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
     :raises UnknownNameError: if one is not known
     :raises ModelError: if there is none, or one twice
     """
-    for kind in [kinds] if isinstance(kinds, str) else listed(kinds, 'image_kinds'):
+    kinds = kinds if isinstance(kinds, str) else listed(kinds, 'image_kinds')
+    for kind in [kinds] if isinstance(kinds, str) else kinds:
         if kind not in KINDS:
             raise UnknownNameError('kind of images', kind, KINDS)
     if isinstance(kinds, str) or not kinds or len(set(kinds)) < len(kinds):

@@ -173,6 +173,7 @@ def test_what_cannot_be_used_is_said(reach):
     ({'cameras': [5]}, '^each of the cameras must be a name or a description, got 5'),
     ({'cameras': [{'name': 'top', 'position': np.zeros(2)}]}, "'position'"),
     ({'noise': 0.1}, '^noise must be a mapping, such as .*, got 0.1'),
+    ({'image_kinds': iter([5])}, '^unknown kind of images .5.'),
     ({'image_kinds': None}, '^image_kinds must be a list, got None'),
     ({'objects': 5}, '^objects must be a list, got 5'),
     ({'control_hz': 1e30}, 'got 1e-30 s; the nearest rates are 500 Hz'),
