@@ -413,6 +413,7 @@ def test_version_two_of_the_standard_says_what_to_set(standard):
     ({'name': 'robot0_base'}, FAILED, 'only free bodies can'),
     ({'name': 'sphere'}, NOT_FOUND, "'sphere'"),
     ({'frame': 'table'}, UNSUPPORTED, "frame_id 'table' is not supported"),
+    ({'frame': 'a\nb'}, UNSUPPORTED, "frame_id 'a\\nb' is not supported"),
     ({'w': 0.0}, SetEntityCode.INVALID_POSE, ''),
     ({'position': (math.nan, 0.0, 0.0)}, SetEntityCode.INVALID_POSE, 'nan'),
     ({'linear': (0.0, math.inf, 0.0)}, FAILED, 'inf')])
