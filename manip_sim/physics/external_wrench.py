@@ -76,7 +76,7 @@ class BodyForces:
 
     def _find_tool(self) -> None:
         model, data = self._physics.model, self._physics.data
-        _ = self.mean  # Of the model before.
+        self.keep()
         self.bodies = self._find_bodies()
         self.forces = data.cfrc_ext[self.bodies]
         self._centre = data.subtree_com[model.body_rootid[self.bodies.start]]
@@ -159,11 +159,11 @@ class BodyForces:
 
     @property
     def mean(self) -> FloatArray:
-        """
-        Mean force and torque about the origin in world axes in the last control period.
+        """Mean force and torque about the origin in world axes in the last control period."""
+        return self.keep()
 
-        Once it is computed, the records of the next period leave it as it is.
-        """
+    def keep(self) -> FloatArray:
+        """Compute and return the mean, which the records of the next period leave as it is."""
         if self._mean is None:
             if self._rows:
                 self._sum_up()

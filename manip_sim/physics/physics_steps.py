@@ -398,7 +398,7 @@ class PhysicsSteps:
         """Compute efforts and forces of the last period, for commands that come within one."""
         _ = self.efforts.values
         for tool in self.tools:
-            _ = tool.mean
+            tool.keep()
 
     def begin_run(self) -> None:
         """Prepare for :meth:`run`, which is called for the intervals of a period."""
