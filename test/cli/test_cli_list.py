@@ -166,7 +166,7 @@ def test_a_part_that_cannot_be_created_does_not_hide_the_others(here, one_joint_
     code, text, _ = here('list', 'robots')
     assert code == 1
     line = next(line for line in text.splitlines() if 'Stringy' in line)
-    assert 'cannot be created: ModelError: default_gripper of Stringy0 must be a mapping' in line
+    assert 'cannot be created: KindError: default_gripper of Stringy0 must be a mapping' in line
     line = next(line for line in text.splitlines() if 'Broken' in line)
     assert f'cannot be created: ModelError: no such MJCF file: {tmp_path}/lost.xml' in line
     assert 'Panda ' in text

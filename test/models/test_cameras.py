@@ -137,16 +137,22 @@ def test_the_cameras_of_an_arena_are_as_high_above_its_furniture(arena, paramete
 
 
 @pytest.mark.parametrize(('what', 'descriptions'), [
-    ('camera', ['frontview']), ('camera', [None]), ('camera', {'name': 'front'}),
-    ('lidar', [1]), ('lidar', 'front')])
+    ('camera', ['frontview']), ('camera', [None]), ('lidar', [1]), ('lidar', 'front')])
 def test_what_is_no_description_is_rejected_with_an_example(what, descriptions):
     with pytest.raises(ModelError, match=f'^{what} without a name: must be keys with values, such '
                        "as {'name': ...}, got "):
         compose('Panda', **{f'{what}s': descriptions})
 
 
-@pytest.mark.parametrize('descriptions', [[1], [None], [['a']], b'x'])
+@pytest.mark.parametrize('descriptions', [[1], [None], [['a']]])
 def test_what_is_no_object_is_rejected_with_what_can_be(descriptions):
     with pytest.raises(ModelError, match='^an object must be keys with values, such as '
                        "{'name': ...}, or the path of a file, got "):
         compose('Panda', objects=descriptions)
+
+
+@pytest.mark.parametrize(('keyword', 'value'), [
+    ('cameras', {'name': 'front'}), ('cameras', 5), ('objects', b'x'), ('objects', {'name': 'a'})])
+def test_what_is_no_list_is_rejected(keyword, value):
+    with pytest.raises(ModelError, match=f'^{keyword} must be a list, got '):
+        compose('Panda', **{keyword: value})
