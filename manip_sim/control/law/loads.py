@@ -51,6 +51,14 @@ def no_loads() -> Loads:
 
 
 @inner
+def velocity_at(place: FloatArray, motion: FloatArray, center: FloatArray, i: int) -> float:
+    """Return a component of the velocity of a place for a spatial motion about a centre."""
+    one, two = (i + 1) % 3, (i + 2) % 3
+    return float(motion[3 + i] + (
+        motion[one] * (place[two] - center[two]) - motion[two] * (place[one] - center[one])))
+
+
+@inner
 def find_reaction(world: WorldArrays, loads: Loads, k: int, accelerations: FloatArray,
                   moves: bool, place: FloatArray, reaction: FloatArray) -> None:
     """
@@ -136,12 +144,9 @@ def find_inertia(world: WorldArrays, loads: Loads, arm: Arm, inertia: FloatArray
             joint, moves = arm.joints[n], loads.moved_by[k, arm.joints[n].joint]
             motion = world.kinematics.motions[joint.dof]
             for i in range(3):
-                one, two = (i + 1) % 3, (i + 2) % 3
                 motions[n, i] = motions[n, 3 + i] = 0.0
                 if moves:
-                    motions[n, i] = motion[3 + i] + (
-                        motion[one] * (place[two] - center[two])
-                        - motion[two] * (place[one] - center[one]))
+                    motions[n, i] = velocity_at(place, motion, center, i)
                     for j in range(3):
                         motions[n, 3 + i] += axes[j, i] * motion[j]
         for n in range(count):
@@ -174,8 +179,5 @@ def carry(world: WorldArrays, loads: Loads, servos: Any, accelerations: FloatArr
                 continue
             motion = world.kinematics.motions[servos[n].dof]
             for i in range(3):
-                one, two = (i + 1) % 3, (i + 2) % 3
-                linear = motion[3 + i] + (
-                    motion[one] * (place[two] - center[two])
-                    - motion[two] * (place[one] - center[one]))
-                efforts[n] += linear * reaction[i] + motion[i] * reaction[3 + i]
+                efforts[n] += (velocity_at(place, motion, center, i) * reaction[i]
+                               + motion[i] * reaction[3 + i])

@@ -27,7 +27,7 @@ import numpy as np
 from manip_sim.arrays import BoolArray, FloatArray
 from manip_sim.control.law.compiling import compiled, inner
 from manip_sim.control.law.inverse_kinematics import displace, project_free, way_to_posture
-from manip_sim.control.law.loads import find_inertia, Loads
+from manip_sim.control.law.loads import find_inertia, Loads, velocity_at
 from manip_sim.control.law.records import Arm, Goal, Motion, Spring
 from manip_sim.control.law.small_matrices import (
     clip, diagonalize, dot, factorize, multiply, multiply_matrices, norm3, rotation_vector, solve,
@@ -155,16 +155,14 @@ def _find_task(error: FloatArray, along: FloatArray, spring: Spring, task: Float
 def find_jacobian(kinematics: Kinematics, arm: Arm, place: FloatArray, jacobian: FloatArray
                   ) -> None:
     """Write the Jacobian of position and rotation of the end effector, shape (6, n)."""
-    motions, center = kinematics.motions, kinematics.centers[arm.root]
-    for k in range(3):
-        one, two = (k + 1) % 3, (k + 2) % 3
-        lever_one, lever_two = place[one] - center[one], place[two] - center[two]
-        for i in range(len(arm.joints)):
-            joint = arm.joints[i]
-            linear = motions[joint.dof, 3 + k] + (
-                motions[joint.dof, one] * lever_two - motions[joint.dof, two] * lever_one)
+    center = kinematics.centers[arm.root]
+    for i in range(len(arm.joints)):
+        joint = arm.joints[i]
+        motion = kinematics.motions[joint.dof]
+        for k in range(3):
+            linear = velocity_at(place, motion, center, k)
             jacobian[k, i] = linear if joint.moves else 0.0
-            jacobian[3 + k, i] = motions[joint.dof, k] if joint.moves else 0.0
+            jacobian[3 + k, i] = motion[k] if joint.moves else 0.0
 
 
 @inner

@@ -25,7 +25,7 @@ from manip_sim.control.law.seat import begin_all
 from manip_sim.control.law.servo_rates import drive
 from manip_sim.control.law.setpoint_motion import advance, drive_base, follow
 from manip_sim.control.law.stepping import (
-    compute_end, find_places, LastStep, Notes, notes_of, remember, take_steps, Watch)
+    any_force, compute_end, find_places, LastStep, Notes, notes_of, remember, take_steps, Watch)
 from manip_sim.control.law.streams import wait
 from manip_sim.physics.physics import (
     address_of, Addresses, BECAME, ENDED, Kinematics, PERIODS, ROW, STEPS, STOOD, WENT_ON,
@@ -398,10 +398,8 @@ def _goes_on(period: Period) -> bool:
         if standing.options[k] != standing.kept[k]:
             return False
     for tool in range(len(tools)):
-        for body in range(tools[tool, 0], tools[tool, 1]):
-            for k in range(6):
-                if standing.pushes[body, k] != 0.0:
-                    return False
+        if any_force(standing.pushes, tools[tool, 0], tools[tool, 1]):
+            return False
     acts, now = True, time.counts[1] * time.step_ns * 1e-9
     for row in period.robots:
         robot = _read_robot(row)

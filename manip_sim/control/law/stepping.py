@@ -242,7 +242,7 @@ def notes_of(data: mujoco.MjData, tools: IntArray, steps: int) -> Notes:
 
 
 @inner
-def _touches(forces: FloatArray, first: int, end: int) -> bool:
+def any_force(forces: FloatArray, first: int, end: int) -> bool:
     """Return whether any force on some bodies is not zero."""
     for body in range(first, end):
         for k in range(6):
@@ -259,7 +259,7 @@ def _note(notes: Notes) -> None:
         return
     for tool in range(len(tools)):
         first, end = tools[tool, 0], tools[tool, 1]
-        if _touches(notes.forces, first, end):
+        if any_force(notes.forces, first, end):
             number = notes.counts[tool]
             notes.counts[tool] = number + 1
             for k in range(3):
