@@ -137,7 +137,7 @@ def test_the_cameras_of_an_arena_are_as_high_above_its_furniture(arena, paramete
 
 
 @pytest.mark.parametrize(('what', 'descriptions'), [
-    ('camera', ['frontview']), ('camera', [None]), ('lidar', [1]), ('lidar', 'front')])
+    ('camera', ['frontview']), ('camera', [None]), ('lidar', [1])])
 def test_what_is_no_description_is_rejected_with_an_example(what, descriptions):
     with pytest.raises(ModelError, match=f'^{what} without a name: must be keys with values, such '
                        "as {'name': ...}, got "):
@@ -152,7 +152,8 @@ def test_what_is_no_object_is_rejected_with_what_can_be(descriptions):
 
 
 @pytest.mark.parametrize(('keyword', 'value'), [
-    ('cameras', {'name': 'front'}), ('cameras', 5), ('objects', b'x'), ('objects', {'name': 'a'})])
+    ('cameras', {'name': 'front'}), ('lidars', 'front'), ('objects', b'x'),
+    ('objects', {'name': 'a'})])
 def test_what_is_no_list_is_rejected(keyword, value):
     with pytest.raises(ModelError, match=f'^{keyword} must be a list, got '):
         compose('Panda', **{keyword: value})
