@@ -95,7 +95,7 @@ def test_another_model_is_named_where_it_differs(first):
     ({'task': 'juggle'}, "cannot be repeated here: unknown task 'juggle'"),
     ({'arguments': json.dumps({'robot': 'Pandora'})}, "unknown robot 'Pandora'"),
     ({'arguments': json.dumps({'wheels': 4})}, 'cannot be repeated here: .*wheels'),
-    ({'arguments': json.dumps({'robot': 5})}, 'cannot be repeated here: robot must be a name, a file'),
+    ({'arguments': json.dumps({'robot': 5})}, 'cannot be repeated here: robot must be a name'),
     ({'period_s': '0.0123'}, 'a control period must be a whole number of timesteps'),
     ({'action': 'telepathy'}, 'telepathy')])
 def test_what_is_not_known_here_is_an_error_in_one_line(first, change, message):
