@@ -53,7 +53,7 @@ nitpick_ignore_regex = [
     ('py:(attr|data)', '.*'),
     # Classes and functions that the documented ones use.
     ('py:(class|func)', r'.*(Controller|Description|Frames|GripperJoints|HandFromFile|ModelFile'
-                        r'|RobotPlan|RobotRun|ImageSettings|CameraModel|Camera'
+                        r'|_TaskEpisodes|RobotPlan|RobotRun|ImageSettings|CameraModel|Camera'
                         r'|InitializationNoise|create_camera|Files|AllowedRoots|ActuatorEfforts'
                         r'|Clock|ControlledJoints|Physics|TakenNames|Offer|Episode|Hold'
                         r'|KinematicChain|ArmAction|Registry|Robot|Gripper|Grippers|LatencyLike'
