@@ -407,8 +407,6 @@ import atexit, sys, threading
 atexit.register(lambda: threading.Event().wait())
 from manip_sim.rendering import OffscreenRenderer
 from manip_sim.ros.camera_publishers import Cameras
-from manip_sim.rendering.offscreen import OffscreenRenderer
-from manip_sim.ros.camera_publishers import Cameras
 from manip_sim.ros.feature import Output
 
 def render(*_, **__):
