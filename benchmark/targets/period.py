@@ -68,7 +68,8 @@ def _publishing(simulation: Simulation, stack: contextlib.ExitStack
         import rclpy
     except ImportError:
         return None
-    from manip_sim.interface.topics import JointNames, Scope
+    from manip_sim.interface.profiles import JointNames
+    from manip_sim.interface.topics import Scope
     from manip_sim.ros.channel_publishers import robot_states
     from manip_sim.ros.executor import RejectionLog
     rclpy.init()

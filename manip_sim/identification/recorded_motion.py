@@ -22,8 +22,8 @@ from manip_sim.errors import describe_choices, ModelError, RecordError, UnknownN
 from manip_sim.interface.topics import Scope
 from manip_sim.models.user_files import opened
 from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
+from manip_sim.records.record_file import decoder, definition, encoder, full_name, RecordFile
 from manip_sim.records.recorded import check_topic, MAX_BYTES, MESSAGE_BYTES, Record
-from manip_sim.records.recorder import decoder, definition, encoder, full_name, RecordFile
 from manip_sim.simulation import Simulation
 
 JOINT_STATE = 'sensor_msgs/JointState'

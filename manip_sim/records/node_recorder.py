@@ -29,7 +29,8 @@ import yaml
 from manip_sim.errors import describe_choices, RecordError
 from manip_sim.quoting import pluralize, quoted
 from manip_sim.rclpy_internals import describe_missing, RCLError, start_rclpy, without_source
-from manip_sim.records.recorder import installed, joined, MODEL, NODE, RecordFile
+from manip_sim.records.record_file import installed, joined, RecordFile
+from manip_sim.records.recorder import MODEL, NODE
 from manip_sim.resources import package_version
 from manip_sim.startup import EndSignals
 

@@ -28,8 +28,9 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import RecordError
 from manip_sim.models.user_files import opened
 from manip_sim.quoting import one_line, quoted
+from manip_sim.records.record_file import decoder, full_name
 from manip_sim.records.recorder import (
-    ACTION, decoder, DIGEST, EPISODE, FORMAT, full_name, MODEL, NODE, RESULT, STATE, TAKEN)
+    ACTION, DIGEST, EPISODE, FORMAT, MODEL, NODE, RESULT, STATE, TAKEN)
 
 #: Largest record in a file, largest chunk, and largest model file [bytes].
 MAX_RECORD, _MAX_CHUNK, _MAX_MODEL = 2**28, 2**26, 2**26

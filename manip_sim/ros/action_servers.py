@@ -27,7 +27,8 @@ from manip_sim.control.cartesian.cartesian_commands import GuardedTwist
 from manip_sim.control.cartesian.reports import Contact
 from manip_sim.control.commands import CommandHandle, Status
 from manip_sim.errors import CommandError, ManipSimError, SimulationEnded, UnknownNameError
-from manip_sim.interface.topics import BY_NAME, JointNames, Scope
+from manip_sim.interface.profiles import JointNames
+from manip_sim.interface.topics import BY_NAME, Scope
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import format_value
 from manip_sim.ros.command_subscribers import CommandSubscribers, RobotCommands

@@ -21,7 +21,8 @@ from manip_sim.channels.kinds import (
     robot_channels)
 from manip_sim.errors import ManipSimError, ModelError
 from manip_sim.interface.offered_sensors import Offered, offered_topics, SensorSettings
-from manip_sim.interface.topics import JointNames, Scope, topics_of_instruments
+from manip_sim.interface.profiles import JointNames
+from manip_sim.interface.topics import Scope, topics_of_instruments
 from manip_sim.models.cameras import LidarModel
 from manip_sim.quoting import one_line
 from manip_sim.ros.feature import create_output, Feature, NodeContext

@@ -34,8 +34,8 @@ from manip_sim.interface.composition import (
     compose_world, Composition, declare_cameras, declare_parts)
 from manip_sim.interface.offered_sensors import filled_in
 from manip_sim.interface.parameter_spec import ParameterSpec, spawned_parameter
-from manip_sim.interface.topics import (
-    JointNames, load_profile, Profile, Scope, Topic, topics_of_robot, topics_of_world)
+from manip_sim.interface.profiles import JointNames, load_profile, Profile
+from manip_sim.interface.topics import Scope, Topic, topics_of_robot, topics_of_world
 from manip_sim.quoting import one_line, quoted
 from manip_sim.rclpy_internals import parameter_overrides, publish_bytes, RCLError
 from manip_sim.resources import Offer, offers

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import contextlib
 import threading
 from typing import Any, TypeVar
@@ -19,8 +19,7 @@ from rclpy.publisher import Publisher
 
 from manip_sim.control.law.kept import all_are_kept
 from manip_sim.errors import ManipSimError, ParameterError, SimulationEnded
-from manip_sim.interface.topics import (
-    Profile, PUBLISHED, SUBSCRIBED, Topic, topics_of_surroundings)
+from manip_sim.interface.topics import PUBLISHED, SUBSCRIBED, Topic, topics_of_surroundings
 from manip_sim.rclpy_internals import RCLError, without_source
 from manip_sim.ros.action_servers import ActionServers, MotionsUntilContact, offer_actions
 from manip_sim.ros.camera_publishers import Cameras
@@ -56,7 +55,7 @@ class SimNode(Node):
 
     actions: ActionServers | None = None
     #: Names of others; none while rclpy makes its own topics.
-    profile = Profile()
+    _names: Mapping[str, str] = {}
 
     def __init__(self, **arguments: Any) -> None:
         #: The rows of the table for this world; none while rclpy makes its own
@@ -79,9 +78,9 @@ class SimNode(Node):
 
     def _build(self) -> None:
         context = self.shared = create_context(self, self.rejections, self._ends)
-        self.declared, self.simulation, self.thread, self.profile, self.table = (
-            context.parameters, context.simulation, context.thread, context.profile,
-            context.table)
+        self.declared, self.simulation, self.thread, self.table, self._names = (
+            context.parameters, context.simulation, context.thread, context.table,
+            context.profile.names)
         self._add_features(context)
         add_offered_features(context, self.get_logger().warning)
         self._add(StartupLog(context))
@@ -92,7 +91,7 @@ class SimNode(Node):
 
     def renamed(self, name: str) -> str:
         """Return what a topic, service or action of ours is called with the profile."""
-        return self.profile.names.get(name, name)
+        return self._names.get(name, name)
 
     def _add(self, feature: F) -> F:
         self.shared.features.append(feature)

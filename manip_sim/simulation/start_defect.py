@@ -136,7 +136,7 @@ class _Start:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, roots: Iterable[str | int],
                  urdf: tuple[str, ...]) -> None:
         self.model, self.data, self._urdf = model, data, urdf
-        #: Whether each body is of a robot, shape (nbody,).
+        #: True for each body of a robot, shape (nbody,).
         self.of_robots = _bodies_below(model, [model.body(root).id for root in roots])
         #: Contacts of a geom of a robot with any other one.
         self.contacts = [contact for contact in data.contact if min(contact.geom) >= 0

@@ -28,8 +28,9 @@ from manip_sim.models import untrusted_models
 from manip_sim.models.archive import load_archive
 from manip_sim.quoting import pluralize
 from manip_sim.records.converting import records_in
+from manip_sim.records.record_file import full_name
 from manip_sim.records.recorded import image, Record, Recorded, RecordedEpisode, RecordedWorld
-from manip_sim.records.recorder import ACTION, full_name, GOAL, REWARD, STATE_PARTS
+from manip_sim.records.recorder import ACTION, GOAL, REWARD, STATE_PARTS
 from manip_sim.startup import EndSignals
 from manip_sim.viewer.page.interaction import Aiming, Events
 from manip_sim.viewer.page.latest import Line, plain, PlainText

@@ -23,7 +23,7 @@ pytest.importorskip('mcap_ros2', reason='needs the extra records')
 from manip_sim.identification.least_squares import identify, KINDS, RigidModel  # noqa: E402
 from manip_sim.identification.recorded_motion import (  # noqa: E402
     bag_messages, find_excitation, read_motion, record_excitation, RecordedMotion, Stretch)
-from manip_sim.records.recorder import definition, encoded, full_name, RecordFile  # noqa: E402
+from manip_sim.records.record_file import definition, encoded, full_name, RecordFile  # noqa: E402
 
 KIND = 'sensor_msgs/JointState'
 #: Noise of positions [rad] and of efforts [N m].

@@ -9,7 +9,7 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, Message, Metadata,
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import CompressionType, Writer
 
-from manip_sim.records.recorder import encoder
+from manip_sim.records.record_file import encoder
 
 
 def encoded(kind, **content):

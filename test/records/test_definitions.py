@@ -17,7 +17,7 @@ for needed in ('mcap_ros2', 'rosbags'):
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores  # noqa: E402
 
 from manip_sim.records import recorder  # noqa: E402
-from manip_sim.records.recorder import (  # noqa: E402
+from manip_sim.records.record_file import (  # noqa: E402
     decoder, definition, encoded, full_name, installed, new_message)
 
 

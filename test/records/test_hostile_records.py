@@ -28,8 +28,8 @@ from mcap.records import Message  # noqa: E402
 from manip_sim.cli.main import main  # noqa: E402
 from manip_sim.errors import RecordError  # noqa: E402
 from manip_sim.records import converting  # noqa: E402
+from manip_sim.records.record_file import definition, RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
-from manip_sim.records.recorder import definition, RecordFile  # noqa: E402
 from manip_sim.viewer.playback import entries_in  # noqa: E402
 
 IMAGES, JOINTS, ACTION = '/front/color/image_raw/compressed', '/joint_states', '/episode/action'

@@ -12,7 +12,8 @@ import subprocess
 import sys
 import tracemalloc
 
-from hypothesis import example, given, HealthCheck, settings, strategies as st
+from hypothesis import example, given, HealthCheck, settings
+from hypothesis import strategies as st
 import pytest
 
 from manip_sim.cli.main import main
@@ -23,8 +24,8 @@ for needed in ('mcap', 'mcap_ros2', 'rosbags'):
 
 from mcap.reader import NonSeekingReader  # noqa: E402
 
+from manip_sim.records.record_file import definition, encoder, RecordFile  # noqa: E402
 from manip_sim.records.recorded import _KEYS, check_about, Record  # noqa: E402
-from manip_sim.records.recorder import definition, encoder, RecordFile  # noqa: E402
 
 WRITER = """
 import sys

@@ -22,7 +22,8 @@ from manip_sim.models import compose_robot
 from manip_sim.models.grippers import gripper_names
 from manip_sim.models.object_creation import create_object
 from manip_sim.physics.object_spawning import plan_with
-from manip_sim.records.recorder import decoder, definition, full_name, NODE, RecordFile
+from manip_sim.records.record_file import decoder, definition, full_name, RecordFile
+from manip_sim.records.recorder import NODE
 from manip_sim.runtime import SimulationThread
 from manip_sim.runtime.action_goals import (
     GoalTracker, GripperGoal, GripperRequest, TrajectoryGoal, TrajectoryRequest)

@@ -22,8 +22,9 @@ from manip_sim.cli.main import main as manip_sim  # noqa: E402
 from manip_sim.errors import RecordError  # noqa: E402
 from manip_sim.models import compose  # noqa: E402
 from manip_sim.records.converting import Frames  # noqa: E402
+from manip_sim.records.record_file import definition, full_name, RecordFile  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
-from manip_sim.records.recorder import definition, full_name, MODEL, NODE, RecordFile  # noqa: E402
+from manip_sim.records.recorder import MODEL, NODE  # noqa: E402
 from manip_sim.viewer.page.model_scene import first_view  # noqa: E402
 from manip_sim.viewer.page.server import Access, close_server, open_server  # noqa: E402
 from manip_sim.viewer.playback import described, entries_in, Entry, Player  # noqa: E402

@@ -18,8 +18,9 @@ for needed in ('mcap', 'mcap_ros2'):
     pytest.importorskip(needed, reason='needs the extra records')
 
 from manip_sim.records import EpisodeRecorder  # noqa: E402
+from manip_sim.records.record_file import encoder  # noqa: E402
 from manip_sim.records.recorded import Record  # noqa: E402
-from manip_sim.records.recorder import ACTION, encoder, FORMAT  # noqa: E402
+from manip_sim.records.recorder import ACTION, FORMAT  # noqa: E402
 from manip_sim.records.replay import Replay  # noqa: E402
 
 _SIZE_ARRAY = 'std_msgs/Float64MultiArray'

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.errors import ModelError, ParameterError, UnknownNameError
-from manip_sim.interface.topics import load_profile, profiles_folder
+from manip_sim.interface.profiles import load_profile, profiles_folder
 from manip_sim.models import compose
 from manip_sim.ros import sim_node
 from manip_sim.ros.action_servers import ActionServers, messages_of, TrajectoryMessages
