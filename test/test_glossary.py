@@ -89,7 +89,7 @@ def names():
 def test_names_avoid_words_that_the_style_replaces(names):
     # What is written like a file has its method tell.
     assert {(file, name) for file, name in names if NOT_USED & set(words_of(name))} == {
-        ('manip_sim/records/recorder.py', 'tell')}
+        ('manip_sim/records/record_file.py', 'tell')}
 
 
 @pytest.mark.full

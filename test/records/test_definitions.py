@@ -16,12 +16,12 @@ for needed in ('mcap_ros2', 'rosbags'):
 
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores  # noqa: E402
 
-from manip_sim.records import recorder  # noqa: E402
+from manip_sim.records import record_file  # noqa: E402
 from manip_sim.records.record_file import (  # noqa: E402
     decoder, definition, encoded, full_name, installed, new_message)
 
 
-@pytest.mark.parametrize('name', recorder._FIELDS)
+@pytest.mark.parametrize('name', record_file._FIELDS)
 def test_a_definition_has_the_fields_of_rosbags(name):
     store = get_typestore(Stores.ROS2_JAZZY)
     _, fields = get_types_from_msg(
