@@ -21,7 +21,8 @@ import numpy as np
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
 from manip_sim.models.spec_edits import delete_elements
-from manip_sim.models.user_files import AssetFolders, check_file, Files, read_file, XmlModel
+from manip_sim.models.user_files import check_file, Files, read_file
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, pluralize, quoted
 
 #: Types of files that a request may name.

@@ -26,7 +26,7 @@ import numpy as np
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import (
     infer_inertias_once, LostShape, MissingMeshError, places, resolve_files, skip_missing)
-from manip_sim.models.user_files import AssetFolders, XmlModel
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, quoted
 
 #: MuJoCo raises the first for errors in a file, the others if there is not enough memory.

@@ -33,7 +33,8 @@ import mujoco
 from manip_sim.errors import ModelError
 from manip_sim.models.asset_files import check_suffix, places, references
 from manip_sim.models.loading import compile_spec, Document, documents_of, spec_from_documents
-from manip_sim.models.user_files import AssetFolders, CachedFiles, Files, XmlModel
+from manip_sim.models.user_files import CachedFiles, Files
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, quoted
 from manip_sim.startup import spare_garbage
 

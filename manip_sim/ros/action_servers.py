@@ -37,8 +37,8 @@ from manip_sim.ros.feature import create_publisher, Feature, NodeContext
 from manip_sim.ros.messages import (
     import_optional, nanoseconds_of, seconds_of, stamp_of, trajectory_fields)
 from manip_sim.runtime.action_goals import (
-    ActionGoal, Ending, GoalCode, GoalError, GoalTracker, gripper_goal, GripperRequest,
-    JointTolerance, TrajectoryGoal, TrajectoryRequest)
+    ActionGoal, Ending, GoalCode, GoalError, GoalTracker, gripper_goal, GripperRequest)
+from manip_sim.runtime.trajectory_goal import JointTolerance, TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import SimulatedRobot, Simulation
 
 

@@ -22,7 +22,7 @@ from manip_sim.models.arenas import Arena, TableArena
 from manip_sim.models.asset_files import resolve_files
 from manip_sim.models.grippers import GripperModel
 from manip_sim.models.mjcf import MujocoXMLModel
-from manip_sim.models.user_files import XmlModel
+from manip_sim.models.xml_model import XmlModel
 
 MENAGERIE = Path(os.environ.get('MENAGERIE_ROOT') or 'no_menagerie')
 

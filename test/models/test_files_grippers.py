@@ -5,16 +5,15 @@
 
 import re
 
+from files_rig import HAND, write
 import mujoco
 import numpy as np
 import pytest
 
-from files_rig import HAND, write
-
 from manip_sim.errors import CommandError, ModelError, UnknownNameError
 from manip_sim.models import compose, load_gripper, load_robot
-from manip_sim.models.files import found_hands
-from manip_sim.models.files.found_hands import control_range, digest_of_meshes
+from manip_sim.models.files import fingers
+from manip_sim.models.files.fingers import control_range, digest_of_meshes
 from manip_sim.models.robots import Panda
 from manip_sim.simulation import Simulation
 
@@ -444,9 +443,9 @@ def test_a_hand_of_a_robot_closes_within_a_range_that_was_edited(gripping_arm):
 def tried(monkeypatch):
     """Return a function that loads a robot and returns the model in which its hand is tried."""
     models = []
-    monkeypatch.setattr(found_hands, '_known', {})
-    trial = found_hands.Fingers._trial_model
-    monkeypatch.setattr(found_hands.Fingers, '_trial_model', lambda hand: (
+    monkeypatch.setattr(fingers, '_known', {})
+    trial = fingers.Fingers._trial_model
+    monkeypatch.setattr(fingers.Fingers, '_trial_model', lambda hand: (
         models.append(trial(hand)), models[-1])[1])
     return lambda file: (load_robot(file), models[-1])[1]
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from manip_sim.models import compose, load_base, load_gripper, load_robot
-from manip_sim.models.files.found_hands import Fingers
+from manip_sim.models.files.fingers import Fingers
 from manip_sim.simulation import Simulation
 
 FILES = Path(__file__).resolve().parents[1] / 'data/files'

@@ -5,15 +5,14 @@
 
 import re
 
+from files_rig import write
 from hypothesis import given, strategies
 import pytest
-
-from files_rig import write
 
 from manip_sim.errors import ModelError
 from manip_sim.models import load_robot
 from manip_sim.models.files.ros_packages import PackageFolders
-from manip_sim.models.user_files import declared_first
+from manip_sim.models.xml_model import declared_first
 
 xacro = pytest.importorskip('xacro', reason='xacro is not installed')
 

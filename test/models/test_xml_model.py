@@ -8,7 +8,7 @@ import time
 import pytest
 
 from manip_sim.errors import ModelError
-from manip_sim.models.user_files import declared_first, mended_xml, XmlModel
+from manip_sim.models.xml_model import declared_first, mended_xml, XmlModel
 
 
 def tree(tmp_path, **files):

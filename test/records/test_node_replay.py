@@ -25,8 +25,8 @@ from manip_sim.physics.object_spawning import plan_with
 from manip_sim.records.record_file import decoder, definition, full_name, RecordFile
 from manip_sim.records.recorder import NODE
 from manip_sim.runtime import SimulationThread
-from manip_sim.runtime.action_goals import (
-    GoalTracker, GripperGoal, GripperRequest, TrajectoryGoal, TrajectoryRequest)
+from manip_sim.runtime.action_goals import GoalTracker, GripperGoal, GripperRequest
+from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot
 

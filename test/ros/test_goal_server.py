@@ -20,8 +20,8 @@ from test_msgs.action import Fibonacci  # noqa: E402
 
 from manip_sim.ros import executor, sim_node  # noqa: E402
 from manip_sim.ros.action_servers import ActionMessages, ActionServers  # noqa: E402
-from manip_sim.runtime.action_goals import (  # noqa: E402
-    GoalCode, GoalError, TrajectoryGoal, TrajectoryRequest)
+from manip_sim.runtime.action_goals import GoalCode, GoalError  # noqa: E402
+from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest  # noqa: E402
 
 J1 = 'robot0_joint1'
 NAME = 'arm/swing'

@@ -31,7 +31,7 @@ from manip_sim.interface.topics import topics_of
 from manip_sim.ros import sim_node
 from manip_sim.ros.action_servers import ActionMessages, ActionServers
 from manip_sim.ros.executor import BACKGROUND_THREAD
-from manip_sim.runtime.action_goals import TrajectoryGoal, TrajectoryRequest
+from manip_sim.runtime.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from manip_sim.viewer.discovery import layout_of
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)

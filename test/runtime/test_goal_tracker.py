@@ -13,9 +13,8 @@ from manip_sim.errors import UnknownNameError
 from manip_sim.models import compose, World
 from manip_sim.models.robots import Panda, UR5e
 from manip_sim.runtime import SimulationThread
-from manip_sim.runtime.action_goals import (
-    Ending, GoalTracker, GripperGoal, GripperRequest, JointTolerance, TrajectoryGoal,
-    TrajectoryRequest)
+from manip_sim.runtime.action_goals import Ending, GoalTracker, GripperGoal, GripperRequest
+from manip_sim.runtime.trajectory_goal import JointTolerance, TrajectoryGoal, TrajectoryRequest
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.robot_spawning import plan_with_robot, plan_without_robot
 

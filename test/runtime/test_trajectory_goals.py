@@ -11,8 +11,9 @@ import pytest
 
 from manip_sim.control.commands import Status
 from manip_sim.errors import DivergenceError
-from manip_sim.runtime.action_goals import (
-    Ending, GoalCode, GoalError, JointTolerance, Tolerances, TrajectoryGoal, TrajectoryRequest)
+from manip_sim.runtime.action_goals import Ending, GoalCode, GoalError
+from manip_sim.runtime.trajectory_goal import (
+    JointTolerance, Tolerances, TrajectoryGoal, TrajectoryRequest)
 
 J1, J2, J3 = 'robot0_joint1', 'robot0_joint2', 'robot0_joint3'
 

@@ -17,11 +17,11 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.arenas import Arena, create_arena, EmptyArena
 from manip_sim.models.bases import MobileBaseModel, MountModel, RobotBaseModel
+from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree
 from manip_sim.models.files.file_gripper import FileGripper
 from manip_sim.models.files.file_robot import FileManipulator, FileRobot, plan_robot
-from manip_sim.models.files.model_file import (
-    keyframes_of, ModelFile, own_each_joint, read_model, shape_heights)
+from manip_sim.models.files.model_file import keyframes_of, ModelFile, read_model, shape_heights
 from manip_sim.models.files.part_descriptions import (
     ArenaDescription, BaseDescription, find_model, GripperDescription, RobotDescription)
 from manip_sim.models.loading import compile_copy, compile_spec, load_spec, name_unnamed_elements

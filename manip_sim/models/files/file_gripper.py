@@ -18,9 +18,9 @@ from manip_sim.algebra import length, product, relative_quat_wxyz, wxyz_to_xyzw
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.files.body_tree import BodyTree
-from manip_sim.models.files.found_hands import (
-    Closings, control_range, digest_of, Fingers, FoundHand, hands_of_hand, integrates, once,
-    UNLIMITED)
+from manip_sim.models.files.fingers import (
+    Closings, control_range, digest_of, Fingers, integrates, once, UNLIMITED)
+from manip_sim.models.files.found_hands import FoundHand, hands_of_hand
 from manip_sim.models.files.model_file import read_model
 from manip_sim.models.files.part_descriptions import (
     FrameDescription, GripperDescription, HandDescription, OwnHandDescription)

@@ -19,13 +19,14 @@ from numpy.typing import ArrayLike
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.bases import MobileBaseModel, RobotBaseModel
+from manip_sim.models.files.actuation import own_each_joint
 from manip_sim.models.files.body_tree import BodyTree, is_unlimited, PALM_WORDS, words_of
 from manip_sim.models.files.file_gripper import BuiltInGripper
+from manip_sim.models.files.fingers import digest_of, digest_of_meshes
 from manip_sim.models.files.found_arms import (
     ALONE, classify_joints, find_arms, FoundArm, lone_hands_as_arms)
-from manip_sim.models.files.found_hands import (
-    digest_of, digest_of_meshes, find_hands, FoundHand, hand_below)
-from manip_sim.models.files.model_file import depth_in_floor, ModelFile, own_each_joint, read_model
+from manip_sim.models.files.found_hands import find_hands, FoundHand, hand_below
+from manip_sim.models.files.model_file import depth_in_floor, ModelFile, read_model
 from manip_sim.models.files.part_descriptions import (
     ArmDescription, FrameDescription, OwnHandDescription, RobotDescription)
 from manip_sim.models.files.scenery import MocapBodies

@@ -24,7 +24,8 @@ from xml.parsers.expat import ExpatError
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.asset_files import (
     check_fetched, check_suffix, Lost, LostShape, MissingMeshError, warnings_of)
-from manip_sim.models.user_files import declared_first, Files
+from manip_sim.models.user_files import Files
+from manip_sim.models.xml_model import declared_first
 from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import cache_folder, keep_in_cache, PACKAGE, share_directory
 from manip_sim.ros_environment import apt_names

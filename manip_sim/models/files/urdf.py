@@ -18,11 +18,12 @@ import numpy as np
 
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError
-from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.files.ros_packages import expanded, find_meshes
+from manip_sim.models.files.urdf_joints import check_joints, complete_joints
 from manip_sim.models.loading import Document, Place, read_documents
 from manip_sim.models.untrusted_models import SelfContainedModel
-from manip_sim.models.user_files import AssetFolders, Files, InMemoryFile, XACRO_SUFFIX, XmlModel
+from manip_sim.models.user_files import Files, InMemoryFile, XACRO_SUFFIX
+from manip_sim.models.xml_model import AssetFolders, XmlModel
 from manip_sim.quoting import one_line, pluralize, quoted, quoted_names
 
 #: Mass and inertia of a moving link that has neither these nor a shape [kg, kg m^2].
