@@ -196,9 +196,13 @@ class ActuatorEfforts:
 
         They are computed at once, while the moments of the present instant are those of the step.
         """
+        self.keep()
+        return self._values
+
+    def keep(self) -> None:
+        """Compute the efforts of the last step unless they are there, before the next one."""
         if self.stale[0]:
             compute([self])
-        return self._values
 
     @property
     def _world(self) -> _World:

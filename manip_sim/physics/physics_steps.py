@@ -396,7 +396,7 @@ class PhysicsSteps:
 
     def keep_measured(self) -> None:
         """Compute efforts and forces of the last period, for commands that come within one."""
-        _ = self.efforts.values
+        self.efforts.keep()
         for tool in self.tools:
             tool.keep()
 
