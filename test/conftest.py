@@ -90,7 +90,7 @@ LONGEST = (
     'models/test_urdf_writer.py', 'test_install.py', 'models/test_catalogue_motion.py',
     'test_typing.py', 'cli/test_cli_params_file.py', 'records/test_playback.py',
     'simulation/test_every_robot.py', 'control/test_streams.py', 'simulation/test_payloads.py',
-    'simulation/test_plain_data.py')
+    'simulation/test_serialization.py')
 
 
 @pytest.hookimpl(wrapper=True)

@@ -27,8 +27,8 @@ from manip_sim.physics.object_spawning import plan_with, plan_without, WorldPlan
 from manip_sim.physics.poses_and_twists import Pose, Twist
 from manip_sim.quoting import one_line, quoted
 from manip_sim.simulation.robot import SimulatedRobot
-from manip_sim.simulation.saved_state import (
-    check_frames, check_like, Decoder, Encoder, SimulationState, to_json)
+from manip_sim.simulation.saved_state import check_frames, SimulationState
+from manip_sim.simulation.serialization import check_like, Decoder, Encoder, to_json
 from manip_sim.simulation.simulation import Simulation
 
 #: Operations that change all robots, and those that change one, whose name comes first.

@@ -1,7 +1,7 @@
 # Copyright 2026 The manip_sim developers
 # SPDX-License-Identifier: Apache-2.0
 
-"""States as plain data: the same object again, and nothing else from untrusted input."""
+"""Objects as plain data: the same again, and nothing else from untrusted input."""
 
 from base64 import b64decode
 from collections import deque
@@ -24,7 +24,7 @@ from manip_sim.physics.payload import Payload
 from manip_sim.physics.robot_frames import Frame
 from manip_sim.simulation import Simulation
 from manip_sim.simulation.journal_entries import plain_state, restore_plain
-from manip_sim.simulation.saved_state import Decoder, Encoder, to_json
+from manip_sim.simulation.serialization import Decoder, Encoder, to_json
 
 
 def through_json(value):
