@@ -73,10 +73,21 @@ def check_kind(value: object, kinds: type | tuple[type, ...], label: str, expect
         raise KindError(f'{label} must be {expected}, got {format_value(value)}')
 
 
-def listed(values: Iterable[_Item], label: str) -> list[_Item]:
+def flag(value: object, label: str) -> bool:
+    """
+    Return a value that is true or false.
+
+    :raises KindError: if it is any other
+    """
+    check_kind(value, (bool, np.bool_), label, 'true or false')
+    return bool(value)
+
+
+def listed(values: Iterable[_Item], label: str, expected: str = 'a list') -> list[_Item]:
     """
     Return the items of a list or of another iterable.
 
+    :param expected: what it should be, for the message
     :raises KindError: if it is none, or a text or a mapping, whose items are parts of one
     """
     try:
@@ -84,7 +95,7 @@ def listed(values: Iterable[_Item], label: str) -> list[_Item]:
             return list(values)
     except TypeError:
         pass
-    raise KindError(f'{label} must be a list, got {format_value(values)}')
+    raise KindError(f'{label} must be {expected}, got {format_value(values)}')
 
 
 def mapping(value: object, label: str, example: str) -> Mapping[str, Any]:
@@ -140,6 +151,11 @@ def whole_number(value: object, least: int, label: str, error: type[ManipSimErro
     return int(value)
 
 
+def _of_python(value: Any) -> Any:
+    """Return a number of NumPy as one of Python, which compares with any other."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
 def positive_number(value: Any, label: str, error: type[ManipSimError] = ModelError,
                     or_zero: bool = False) -> float:
     """
@@ -148,7 +164,8 @@ def positive_number(value: Any, label: str, error: type[ManipSimError] = ModelEr
     :param or_zero: whether 0 is allowed too
     :raises ManipSimError: that exception, if it is not such a finite number
     """
-    if (isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating))
+    value = _of_python(value)
+    if (isinstance(value, bool) or not isinstance(value, (int, float))
             or not (0 < value <= sys.float_info.max or or_zero and value == 0)):
         raise error(f'{label} must be positive and finite{", or 0" if or_zero else ""}, '
                     f'got {format_value(value)}')
@@ -175,8 +192,10 @@ def whole_nanoseconds(timestep_s: float) -> float:
     :raises ModelError: if it is not a positive whole number of nanoseconds, naming the nearest
     """
     check_kind(timestep_s, Real, 'a timestep', 'a number')
-    if not 1e-9 <= timestep_s < math.inf:
-        raise ModelError(f'a timestep must be positive and finite, got {timestep_s} s')
+    timestep_s = _of_python(timestep_s)
+    if not 1e-9 <= timestep_s <= sys.float_info.max / 1e9:
+        raise ModelError('a timestep must be positive and finite, got '
+                         f'{format_value(timestep_s)} s')
     nanoseconds = timestep_s * 1e9
     if abs(nanoseconds - round(nanoseconds)) > 1e-5:
         raise ModelError('a timestep must be a whole number of nanoseconds, got '

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import math
 from os import fspath, PathLike
 from types import MappingProxyType
-from typing import Any, NamedTuple, Union
+from typing import Any, cast, NamedTuple, Union
 
 import numpy as np
 
 from manip_sim.errors import describe_choices, ModelError
 from manip_sim.models.user_files import parse_yaml, read_yaml
 from manip_sim.quoting import format_value, quoted
+from manip_sim.validation import listed
 
 #: A YAML file, or what one holds.
 FaultsLike = Union[str, PathLike[str], Iterable[Mapping[str, Any]], Mapping[str, Any],
@@ -112,10 +113,9 @@ class FaultPlan:
             given = _listed(read_yaml(given), source)
         elif isinstance(given, Mapping) and 'faults' in given:
             given = _listed(given, source)
-        if isinstance(given, Mapping) or not isinstance(given, Iterable):
-            raise ModelError(f'{source} must be a list of faults, got {format_value(given)}')
         self.given: list[Any] = [
-            dict(fault) if isinstance(fault, Mapping) else fault for fault in given]
+            dict(fault) if isinstance(fault, Mapping) else fault
+            for fault in listed(cast('Iterable[Any]', given), source, 'a list of faults')]
         self.faults: Sequence[PlannedFault] = [
             planned(fault, f'{source}: number {number}')
             for number, fault in enumerate(self.given, 1)]

@@ -25,6 +25,7 @@ from manip_sim.models.registry import Registry
 from manip_sim.models.spec_edits import attach, check_prefix, name_main_default, TakenNames
 from manip_sim.models.user_files import read_yaml
 from manip_sim.resources import asset_path
+from manip_sim.quoting import format_value
 from manip_sim.validation import check_kind
 
 #: Names to use instead, by name.
@@ -102,6 +103,8 @@ class MujocoXMLModel:
     def __init__(self, fname: str | PathLike[str], idn: int | str = 0) -> None:
         check_kind(fname, (str, PathLike), 'fname', 'the path of an MJCF file')
         check_kind(idn, (str, int, np.integer), 'idn', 'a number or a word')
+        if not str(idn).isprintable():
+            raise ModelError(f'idn must be a number or a word, got {format_value(idn)}')
         self.file = Path(fname)
         self.idn = idn
         self._given_prefix = ''
@@ -331,6 +334,7 @@ class MujocoXMLModel:
             ``left_``; empty: the prefix that the idn gives
         :raises ModelError: if it is none of these, or the class overrides :attr:`naming_prefix`
         """
+        check_kind(prefix, str, 'prefix', 'a word')
         if prefix:
             check_prefix(prefix)
         self._given_prefix = prefix

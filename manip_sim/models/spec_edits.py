@@ -18,7 +18,6 @@ from manip_sim.algebra import length, quat_wxyz_from_rpy
 from manip_sim.arrays import FloatArray
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.models.actuators import JOINT_TRANSMISSIONS
-from manip_sim.validation import check_kind
 
 #: Begin of names of joints, frames and of topics named after cameras and objects.
 _PREFIX = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,63}')
@@ -36,7 +35,6 @@ _WITH_DEFAULTS = ('joints', 'geoms', 'sites', 'cameras', 'lights', 'actuators', 
 
 def check_prefix(prefix: str) -> None:
     """Reject a prefix that names in ROS cannot begin with."""
-    check_kind(prefix, str, 'prefix', 'a word')
     if not _PREFIX.fullmatch(prefix):
         raise ModelError(f'prefix {prefix[:64]!r} cannot begin the names of joints and frames: '
                          'it needs a letter, then at most 63 letters, digits and underscores')

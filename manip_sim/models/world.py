@@ -40,7 +40,7 @@ from manip_sim.models.robots import create_robot, ManipulatorModel, RobotModel
 from manip_sim.models.spec_edits import fit_couplings, soften_contacts, TakenNames
 from manip_sim.models.user_files import parse_yaml
 from manip_sim.quoting import format_value, quoted
-from manip_sim.validation import check_kind, listed, start_by_joint, whole_nanoseconds
+from manip_sim.validation import check_kind, flag, listed, start_by_joint, whole_nanoseconds
 
 #: Ratio of frictional to normal constraint impedance: friction gives less than the contact. From
 #: 500 on, MuJoCo's solver needs twice as many iterations for rounded fingers.
@@ -119,7 +119,7 @@ class World:
         self.arena = EmptyArena() if arena is None else arena
         check_kind(self.arena, Arena, 'arena', 'a name, a file or an Arena')
         self.timestep_s = whole_nanoseconds(timestep_s)
-        self.gravity_compensation = gravity_compensation
+        self.gravity_compensation = flag(gravity_compensation, 'gravity_compensation')
         self.objects: list[ObjectModel] = [*self.arena.objects, *create_objects(objects)]
         check_object_names(self.objects)
         self.cameras = [create_camera(camera) for camera in listed(cameras, 'cameras')]
@@ -465,7 +465,7 @@ def compose_robot(robot: Robot = 'Panda', gripper: Gripper | Grippers = DEFAULT,
     _add_base(robot, base, idn)
     if isinstance(robot, ManipulatorModel):
         _add_grippers(robot, gripper, idn)
-    if tactile:
+    if flag(tactile, 'tactile'):
         grippers = [part for part in robot.models if isinstance(part, GripperModel)]
         if not any([gripper.add_tactile_sensors() for gripper in grippers]):
             names = ' and '.join(dict.fromkeys(gripper.name for gripper in grippers))

@@ -11,10 +11,10 @@ import pytest
 
 from manip_sim.errors import KindError, ManipSimError, ModelError, UnknownNameError
 from manip_sim.models import compose, compose_robot, World
-from manip_sim.models.arenas import TableArena
-from manip_sim.models.bases import NullMount
-from manip_sim.models.grippers import PandaGripper
-from manip_sim.models.robots import Baxter, Panda
+from manip_sim.models.arenas import create_arena, TableArena
+from manip_sim.models.bases import create_base, NullMount
+from manip_sim.models.grippers import create_gripper, PandaGripper
+from manip_sim.models.robots import Baxter, create_robot, Panda
 
 
 def test_default_is_what_the_robot_says():
@@ -36,7 +36,8 @@ def test_what_a_class_declares_in_place_of_a_mapping_is_told(one_joint_arm, what
 
 _KINDS = [None, True, 5, -1.5, float('nan'), 1j, 'x', b'x', [], [1], ['a'], [None], (1, 2), {},
           {'a': 1}, {1: 2}, {'right': 5}, [{'name': 5}], object(), Panda, Path('missing'),
-          np.zeros(2), range(2), {1}]
+          np.zeros(2), range(2), {1}, np.zeros(0), np.array(5), np.array('x'), np.float32('nan'),
+          'a\0b', '\ud800', Path('a\0b'), 10**30, 10**300, 10**400, [[]], {('a',): 1}]
 
 
 @pytest.mark.parametrize(('make', 'keyword'), [
@@ -44,17 +45,39 @@ _KINDS = [None, True, 5, -1.5, float('nan'), 1j, 'x', b'x', [], [1], ['a'], [Non
     *((World, keyword) for keyword in inspect.signature(World).parameters)])
 def test_a_value_of_any_kind_is_taken_or_rejected_with_an_error_of_the_package(make, keyword):
     needed = {'robots': [compose_robot('SO101')]} if make is World else {'robot': 'SO101'}
-    is_flag = keyword in ('gravity_compensation', 'tactile')  # True or false, as Python has it.
     rejected = 0
     for value in _KINDS:
-        if is_flag and isinstance(value, np.ndarray):
-            continue  # NumPy itself refuses to tell whether it is true.
         try:
-            make(**{**needed, keyword: value})
+            make(**{**needed, keyword: value}).compile()
         except ManipSimError as error:
             rejected += 1
             assert '\n' not in str(error)
-    assert rejected or is_flag
+    assert rejected
+
+
+@pytest.mark.parametrize('create', [create_robot, create_gripper, create_base, create_arena])
+def test_a_part_of_any_kind_is_created_or_rejected_with_an_error_of_the_package(create):
+    name = {create_robot: 'SO101', create_gripper: 'PandaGripper', create_base: 'NullMount',
+            create_arena: 'table'}[create]
+    keywords = ['name', *({'idn', 'prefix', 'table_height'} & {
+        *inspect.signature(create).parameters, *(['table_height'] * (create is create_arena))})]
+    for keyword in keywords:
+        rejected = 0
+        for value in _KINDS:
+            try:
+                create(**{'name': name, keyword: value})
+            except ManipSimError:
+                rejected += 1
+        assert rejected, keyword
+
+
+@pytest.mark.parametrize('flag', [np.True_, np.False_])
+def test_numbers_of_numpy_are_taken_where_those_of_python_are(flag):
+    world = compose('SO101', idn=np.int64(3), gravity_compensation=flag,
+                    timestep_s=np.float32(0.0078125), seed=np.uint8(7))
+    assert world.gravity_compensation is bool(flag)
+    assert world.compile().opt.timestep == 0.0078125
+    assert world.robots[0].naming_prefix == 'robot3_'
 
 
 @pytest.mark.parametrize(('keywords', 'message'), [

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 import inspect
 import math
-import numbers
 from os import PathLike
 from typing import Any, ClassVar, Union
 
@@ -80,10 +79,11 @@ class ArenaParameter:
         :raises ModelError: naming the limits
         """
         if isinstance(self.default, bool):
-            fits = isinstance(value, bool)
+            fits = isinstance(value, (bool, np.bool_))
         else:
-            fits = (not isinstance(value, bool) and isinstance(value, numbers.Real)
-                    and self.low <= float(value) <= self.high)
+            numbers = (int, float, np.integer, np.floating)
+            fits = (not isinstance(value, bool) and isinstance(value, numbers)
+                    and bool(self.low <= value <= self.high))
         if not fits:
             raise ModelError(f"parameter '{self.name}' of the arena {arena} must be "
                              f'{self.limits}, got {format_value(value)}')

@@ -370,7 +370,7 @@ def create_robot(name: str | PathLike[str], idn: int | str = 0, prefix: str = ''
         of another package cannot be imported
     """
     robot = ROBOTS.create_or_load(name, idn=idn)
-    if prefix:
+    if not isinstance(prefix, str) or prefix:
         robot.set_naming_prefix(prefix)
     return robot
 
