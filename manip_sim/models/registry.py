@@ -21,7 +21,7 @@ import pkgutil
 import re
 from typing import Any, Generic, TypeVar
 
-from manip_sim.errors import ModelError, UnknownNameError
+from manip_sim.errors import ManipSimError, ModelError, UnknownNameError
 from manip_sim.models.user_files import YAML_SUFFIXES
 from manip_sim.quoting import one_line, quoted
 from manip_sim.resources import Offer, offers
@@ -138,9 +138,22 @@ class Registry(Generic[T]):
         return cls
 
     def create(self, name: str, /, **arguments: Any) -> T:
-        """Create an instance of the class of a name; raises as :meth:`get` does."""
+        """
+        Create an instance of the class of a name.
+
+        :raises ModelError: as :meth:`get` does, and if a class of another package raises anything
+        """
         create: Callable[..., T] = self.get(name)
-        return create(**arguments)
+        try:
+            return create(**arguments)
+        except ManipSimError:
+            raise
+        except Exception as error:
+            offer = offers(self._group).get(name)
+            if self._loaded.get(offer) is not create:  # type: ignore[arg-type]
+                raise
+            raise ModelError(f'{self.kind} {offer} cannot be created: {type(error).__name__}: '
+                             f'{one_line(str(error))}') from error
 
     def create_or_load(self, name: str | PathLike[str], **arguments: Any) -> T:
         """Create a model by its name, as :meth:`create` does, or from the file it stands for."""

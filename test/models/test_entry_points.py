@@ -216,3 +216,22 @@ def test_a_gripper_and_an_arena_of_the_page_are_found_beside_their_files(package
     np.testing.assert_allclose(closed, [[0.0, 0.0], [0.035, -0.035]], atol=1e-3)
     assert robot.robot_model.grippers['right'].important_geoms['left_fingerpad'] == [
         'gripper0_right_left_pad_collision']
+
+
+@pytest.mark.parametrize(('kind', 'base'), [
+    ('robot', 'UR5e'), ('gripper', 'PandaGripper'), ('base', 'RethinkMount'),
+    ('arena', 'TableArena')])
+def test_a_constructor_of_another_package_that_raises_is_told(package, kind, base):
+    module = package(f"""
+from manip_sim.models.{kind}s import {base}
+
+class Broken{base}({base}):
+    def __init__(self, idn=0):
+        raise OSError('two', 'words')
+""" + ("    arena_name = 'broken_arena'" if kind == 'arena' else ''), {
+        kind: {'broken_arena' if kind == 'arena' else f'Broken{base}': '{}:Broken' + base}})
+    name = 'broken_arena' if kind == 'arena' else f'Broken{base}'
+    with pytest.raises(ModelError, match=(
+            rf"^{kind} '{name}' of the package {module} 1.2 \(.*\) cannot be created: "
+            r'OSError: \[Errno two\] words')):
+        compose(**{kind: name})
