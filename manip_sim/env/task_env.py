@@ -58,7 +58,8 @@ class _TaskEpisodes:
 
         :param view: camera, and width and height [pixels], of what is shown
         """
-        if render_mode is not None and render_mode not in self.metadata['render_modes']:
+        if not isinstance(render_mode, (str, type(None))) or (
+                render_mode not in (None, *self.metadata['render_modes'])):
             raise UnknownNameError('render_mode', render_mode, self.metadata['render_modes'])
         check_keywords(setting.composition, type(self))
         self.metadata = {**self.metadata, 'render_fps': setting.control_hz}

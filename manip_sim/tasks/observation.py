@@ -361,7 +361,7 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[str, ...]:
     """
     kinds = kinds if isinstance(kinds, str) else listed(kinds, 'image_kinds')
     for kind in [kinds] if isinstance(kinds, str) else kinds:
-        if kind not in KINDS:
+        if not isinstance(kind, str) or kind not in KINDS:
             raise UnknownNameError('kind of images', kind, KINDS)
     if isinstance(kinds, str) or not kinds or len(set(kinds)) < len(kinds):
         raise ModelError(f'image_kinds must be one or several of {", ".join(KINDS)}, each once, '

@@ -93,8 +93,10 @@ class Task(ABC):
             self.arguments['randomization'] = composition['randomization'].given
         if 'faults' in composition:
             self.arguments['faults'] = FaultPlan(composition['faults']).given
+        if isinstance(gripper, str) and gripper == DEFAULT:
+            gripper = self.own_gripper
         self.world: World = self.compose(
-            robot, self.own_gripper if gripper == DEFAULT else gripper, {
+            robot, gripper, {
                 'initialization_noise': _NOISE, 'seed': 0, **composition, 'arena': self.arena(),
                 'objects': [*self.objects(),
                             *listed(composition.get('objects', ()), 'objects')]})

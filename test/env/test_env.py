@@ -174,6 +174,8 @@ def test_what_cannot_be_used_is_said(reach):
     ({'cameras': [{'name': 'top', 'position': np.zeros(2)}]}, "'position'"),
     ({'noise': 0.1}, '^noise must be a mapping, such as .*, got 0.1'),
     ({'image_kinds': iter([5])}, '^unknown kind of images .5.'),
+    ({'image_kinds': np.zeros((2, 2))}, '^unknown kind of images'),
+    ({'gripper': np.zeros(2)}, '^gripper must be a name, a file, a gripper, None or a mapping'),
     ({'image_kinds': None}, '^image_kinds must be a list, got None'),
     ({'objects': 5}, '^objects must be a list, got 5'),
     ({'control_hz': 1e30}, 'got 1e-30 s; the nearest rates are 500 Hz'),
@@ -194,6 +196,7 @@ def test_what_cannot_be_used_is_said(reach):
      r'a control period must be a whole number of timesteps of 0\.002 s, got 0\.0333333 s; the '
      r'nearest rates are 29\.41176471, 31\.25 Hz; or use timestep_s=0\.001960784$'),
     ({'gripper': 'none'}, 'reach needs 1 arm with grippers, Panda has 0'),
+    ({'render_mode': np.zeros(2)}, '^unknown render_mode'),
     ({'render_mode': 'ascii'}, "unknown render_mode 'ascii': available: rgb_array")])
 def test_arguments_that_cannot_be_used_are_said(arguments, text):
     with pytest.raises(ManipSimError, match=text):
