@@ -34,7 +34,7 @@ from manip_sim.control.trajectory import check_times, Trajectory
 from manip_sim.errors import CommandError, describe_choices, UnknownNameError
 from manip_sim.models.robots import RobotModel
 from manip_sim.models.robots.robot_model import SUBSYSTEMS
-from manip_sim.physics.poses_and_twists import Pose, Twist
+from manip_sim.physics.poses_and_twists import MAX_WRENCH, Pose, Twist
 from manip_sim.physics.robot_frames import RobotFrames
 from manip_sim.quoting import format_value, pluralize, quoted
 from manip_sim.validation import (
@@ -622,15 +622,15 @@ class CartesianParser:
         :param force: that ``grip_site`` pushes with [N], shape (3,)
         :param torque: about ``grip_site`` [N m], shape (3,)
         :param frame: whose axes the wrench is in; empty for ``world``
-        :raises CommandError: if the frame is unknown, a number is not finite, or the arm is not
-            an impedance
+        :raises CommandError: if the frame is unknown, a number is not finite or too great, or the
+            arm is not an impedance
         :raises UnknownNameError: if the arm is unknown or has no gripper
         """
         of_arm = self._of(arm)
         target_frame = self._frames.find(frame, f'{arm}: a target wrench')
         wrench = np.concatenate([
-            finite_command_numbers(force, 3, f'{arm}: the force of a target wrench'),
-            finite_command_numbers(torque, 3, f'{arm}: the torque of a target wrench')])
+            _wrench(force, 3, f'{arm}: the force of a target wrench'),
+            _wrench(torque, 3, f'{arm}: the torque of a target wrench')])
         self._check_impedance(arm, 'a target wrench')
         return CartesianWrench(**of_arm, frame=target_frame, wrench=wrench)
 
@@ -652,6 +652,7 @@ class CartesianParser:
             finite_command_numbers(value, 6, f'{arm}: the {name} of force mode')
             for value, name in (
                 (selection, 'selection'), (wrench, 'wrench'), (limits, 'limits'))]
+        _wrench(numbers[1], 6, f'{arm}: the wrench of force mode')
         chosen = numbers[0] == 1.0
         if not (chosen | (numbers[0] == 0.0)).all():
             raise CommandError(f'{arm}: the selection of force mode must be 0 or 1 for each axis, '
@@ -688,6 +689,13 @@ class CartesianParser:
         indices = self._joints.indices_of(arm)
         return {'robot': self._robot, 'parts': self._joints.parts_of(indices),
                 'indices': indices, 'arm': arm}
+
+
+def _wrench(values: ArrayLike, count: int, what: str) -> FloatArray:
+    numbers = finite_command_numbers(values, count, what)
+    if np.abs(numbers).max() > MAX_WRENCH:
+        raise CommandError(f'{what} must be within {MAX_WRENCH:g}, got {numbers.tolist()}')
+    return numbers
 
 
 def _shortened(vector: FloatArray, limit: float) -> tuple[FloatArray, int]:

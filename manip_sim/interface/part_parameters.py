@@ -14,7 +14,7 @@ from manip_sim.control.streamed_trajectories import STREAM_INTERVAL_S
 from manip_sim.interface.parameter_spec import ParameterSpec
 from manip_sim.interface.topics import Scope
 from manip_sim.physics.parts import Part
-from manip_sim.physics.payload import Payload
+from manip_sim.physics.payload import LARGEST, Payload
 from manip_sim.sensing.sensor_noise import QUANTITIES
 
 #: Of a base in modes with a timeout: navigation sends velocities more slowly than controllers [s].
@@ -179,14 +179,15 @@ def payload_parameters(scope: Scope, arms: Sequence[str]) -> list[ParameterSpec]
     return [spec.within(scope) for arm in arms for spec in (
         ParameterSpec(f'payload.{arm}.mass', none.mass, 'Mass of what the arm holds, which its '
                       'actuators carry and its external wrench leaves out; 0: nothing.', 'kg',
-                      live=True, minimum=0.0, maximum=1000.0),
+                      live=True, minimum=0.0, maximum=LARGEST['mass']),
         ParameterSpec(f'payload.{arm}.center_of_mass', list(none.center_of_mass),
                       'Its centre of mass in ft_frame, the flange between wrist and gripper.',
-                      'm', live=True, minimum=-10.0, maximum=10.0, length=3),
+                      'm', live=True, minimum=-LARGEST['center_of_mass'],
+                      maximum=LARGEST['center_of_mass'], length=3),
         ParameterSpec(f'payload.{arm}.inertia', list(none.inertia),
                       'Its inertia about the centre of mass, in the axes of ft_frame: ixx, ixy, '
-                      'ixz, iyy, iyz, izz.', 'kg m^2', live=True, minimum=-1000.0,
-                      maximum=1000.0, length=6))]
+                      'ixz, iyy, iyz, izz.', 'kg m^2', live=True,
+                      minimum=-LARGEST['inertia'], maximum=LARGEST['inertia'], length=6))]
 
 
 def integral_parameters(scope: Scope, parts: Sequence[str]) -> list[ParameterSpec]:

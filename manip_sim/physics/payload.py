@@ -16,6 +16,8 @@ from manip_sim.arrays import FloatArray
 from manip_sim.errors import CommandError, UnknownNameError
 from manip_sim.validation import finite_command_numbers, positive_number
 
+#: Greatest numbers of a payload [kg, m, kg m^2]; far greater ones make the physics diverge.
+LARGEST = {'mass': 1000.0, 'center_of_mass': 10.0, 'inertia': 1000.0}
 #: Share by which moments of inertia may miss what a body can have, as they are rounded.
 _ROUNDED = 1e-6
 
@@ -41,22 +43,25 @@ class Payload:
 
         :param name: of one of the fields
         :param value: a number for ``mass``, three for ``center_of_mass``, six for ``inertia``
-        :raises CommandError: if they are not finite, the mass is negative, or no body has such an
-            inertia
+        :raises CommandError: if they are not finite or too great, the mass is negative, or no body
+            has such an inertia
         :raises UnknownNameError: if the number is unknown
         """
         names = [field.name for field in fields(self)]
         if name not in names:
             raise UnknownNameError('number of a payload', name, names)
+        what = f'the {name} of a payload'
         if name == 'mass':
-            return replace(self, mass=positive_number(
-                value, 'the mass of a payload', CommandError, or_zero=True))
-        count = len(getattr(self, name))
-        numbers = tuple(finite_command_numbers(value, count, f'the {name} of a payload').tolist())
-        if name == 'center_of_mass':
-            return replace(self, center_of_mass=numbers)
-        _check_inertia(numbers)
-        return replace(self, inertia=numbers)
+            numbers = [positive_number(value, what, CommandError, or_zero=True)]
+        else:
+            count = len(getattr(self, name))
+            numbers = finite_command_numbers(value, count, what).tolist()
+        if np.abs(numbers).max() > LARGEST[name]:
+            raise CommandError(f'{what} must be within {LARGEST[name]:g}, got {value!r:.60}')
+        if name == 'inertia':
+            _check_inertia(numbers)
+        changed: Any = numbers[0] if name == 'mass' else tuple(numbers)
+        return replace(self, **{name: changed})
 
     @classmethod
     def checked(cls, mass: float, center_of_mass: ArrayLike = (0.0,) * 3,

@@ -18,6 +18,8 @@ from manip_sim.validation import finite_command_numbers, norm_of_unit_quaternion
 MAX_DISTANCE_M = 1e4
 #: Largest component of a velocity that is accepted; faster ones tunnel in a step [m/s, rad/s].
 MAX_VELOCITY = 1e3
+#: Largest component of a wrench that is accepted [N, N m].
+MAX_WRENCH = 1e6
 
 
 @dataclass(frozen=True)

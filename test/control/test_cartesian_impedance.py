@@ -397,7 +397,8 @@ def test_a_chosen_axis_without_force_yields_and_is_braked_beyond_its_limit(axis)
     (([0.5] * 6, [1.0] * 6, [0.1] * 6), 'must be 0 or 1'),
     (([1.0] * 6, [1.0] * 6, [0.0] * 6), 'must be above 0'),
     (([1.0] * 5, [1.0] * 6, [0.1] * 6), 'selection of force mode must have 6'),
-    (([1.0] * 6, [math.nan] * 6, [0.1] * 6), 'wrench of force mode must be finite')])
+    (([1.0] * 6, [math.nan] * 6, [0.1] * 6), 'wrench of force mode must be finite'),
+    (([1.0] * 6, [1e308] * 6, [0.1] * 6), 'wrench of force mode must be within 1e.06')])
 def test_a_force_mode_that_cannot_be_used_is_rejected(rows, message):
     with pytest.raises(CommandError, match=message):
         impedance('Panda').robot.parse_cartesian.force_mode('right', *rows)
@@ -471,6 +472,17 @@ def test_a_stiffness_that_cannot_be_used_is_rejected(setting, value, message):
     assert op.simulation.digest() == digest
 
 
+@pytest.mark.parametrize('name', ['Panda', 'UR5e', 'SO101'])
+def test_the_greatest_wrenches_do_not_make_the_physics_diverge(name):
+    op = impedance(name)
+    for wrench in 1e6 * np.vstack([np.eye(6), -np.ones(6)]):
+        for command in (op.robot.parse_cartesian.wrench('right', wrench[:3], wrench[3:]),
+                        op.robot.parse_cartesian.force_mode('right', [1] * 6, wrench, [1.0] * 6)):
+            op.robot.apply(command)
+            op.run(0.2)
+            assert op.simulation.diverged is None
+
+
 def test_wrong_frames_modes_and_wrenches_are_rejected():
     op = impedance('Panda')
     with pytest.raises(UnknownNameError, match="'flange'.*base, tool, world"):
@@ -478,6 +490,8 @@ def test_wrong_frames_modes_and_wrenches_are_rejected():
     parse = op.robot.parse_cartesian
     with pytest.raises(CommandError, match='must be finite'):
         parse.wrench('right', [math.inf, 0.0, 0.0], [0.0] * 3)
+    with pytest.raises(CommandError, match='torque of a target wrench must be within 1e.06'):
+        parse.wrench('right', [0.0] * 3, [0.0, -1e308, 0.0])
     with pytest.raises(CommandError, match='must have 3 numbers'):
         parse.wrench('right', [0.0] * 2, [0.0] * 3)
     with pytest.raises(CommandError, match='unknown frame'):

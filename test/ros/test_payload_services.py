@@ -49,6 +49,7 @@ def test_payloads_of_a_node_are_declared_told_and_estimated(serve, client):
         'inertia': [0.0] * 6}]
     for text, match in (
             ('{mass: -1}', 'the mass of a payload must be positive'), ('{arm: right}', "a 'mass'"),
+            ('{mass: 1.0e+30}', 'the mass of a payload must be within 1000'),
             ('{mass: 1, arm: rihgt}', "'rihgt'"), ('{mass: 1, robot: robot1}', "'robot1'"),
             ('{masse: 1}', "did you mean 'mass'"), ('[1', 'YAML'),
             ('{mass: 1, center_of_mass: [0, 0, .nan]}', 'must be finite'),

@@ -257,6 +257,9 @@ def test_an_arm_that_cannot_turn_its_gripper_estimates_no_payload(panda):
     ({'mass': -1.0}, 'the mass of a payload must be positive'),
     ({'mass': float('nan')}, 'the mass of a payload must be positive'),
     ({'mass': True}, 'the mass of a payload must be positive'),
+    ({'mass': 1e308}, 'the mass of a payload must be within 1000'),
+    ({'mass': 1.0, 'center_of_mass': [0.0, 0.0, -11.0]}, 'center_of_mass .* must be within 10,'),
+    ({'mass': 1.0, 'inertia': [1e30, 0.0, 0.0, 1e30, 0.0, 1e30]}, 'inertia .* must be within'),
     ({'mass': 1.0, 'center_of_mass': [0.0, 0.1]}, 'center_of_mass .* must have 3 numbers, got 2'),
     ({'mass': 1.0, 'center_of_mass': [0.0, 0.1, float('inf')]}, 'must be finite, got inf'),
     ({'mass': 1.0, 'inertia': [1.0] * 3}, 'inertia .* must have 6 numbers, got 3'),
@@ -272,6 +275,18 @@ def test_a_payload_that_cannot_be_is_rejected_and_nothing_changes(panda, numbers
     with pytest.raises(UnknownNameError, match="'left'"):
         simulation.robot.set_payload('left', 1.0)
     assert simulation.digest() == digest and simulation.robot.payload('right').mass == 0.1
+
+
+@pytest.mark.parametrize('name', ['Panda', 'UR5e', 'SO101'])
+@pytest.mark.parametrize('mode', [
+    'position', 'velocity', 'effort', 'impedance', 'cartesian', 'cartesian impedance', 'law'])
+def test_the_greatest_payload_does_not_make_the_physics_diverge(name, mode):
+    simulation = Simulation(compose(name))
+    begin(simulation.robot, mode)
+    simulation.robot.set_payload('right', 1e3, [10.0] * 3, [1e3, 0.0, 0.0, 1e3, 0.0, 1e3])
+    for _ in range(50):
+        simulation.advance(10)
+    assert simulation.diverged is None
 
 
 def test_payloads_of_worlds_are_their_own_and_survive_a_reset(panda):
