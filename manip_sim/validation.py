@@ -151,9 +151,14 @@ def whole_number(value: object, least: int, label: str, error: type[ManipSimErro
     return int(value)
 
 
-def _of_python(value: Any) -> Any:
-    """Return a number of NumPy as one of Python, which compares with any other."""
-    return value.item() if isinstance(value, np.generic) else value
+def finite_or_nan(value: object) -> float:
+    """Return a finite real number, and NaN for anything else."""
+    try:
+        if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # A whole number may be greater than any double.
+        pass
+    return math.nan
 
 
 def positive_number(value: Any, label: str, error: type[ManipSimError] = ModelError,
@@ -164,12 +169,11 @@ def positive_number(value: Any, label: str, error: type[ManipSimError] = ModelEr
     :param or_zero: whether 0 is allowed too
     :raises ManipSimError: that exception, if it is not such a finite number
     """
-    value = _of_python(value)
-    if (isinstance(value, bool) or not isinstance(value, (int, float))
-            or not (0 < value <= sys.float_info.max or or_zero and value == 0)):
+    number = finite_or_nan(value)
+    if not (number > 0.0 or or_zero and number == 0.0):
         raise error(f'{label} must be positive and finite{", or 0" if or_zero else ""}, '
                     f'got {format_value(value)}')
-    return float(value)
+    return number
 
 
 def start_by_joint(part: str, joints: list[str], qpos: Any) -> dict[str, float]:
@@ -192,15 +196,15 @@ def whole_nanoseconds(timestep_s: float) -> float:
     :raises ModelError: if it is not a positive whole number of nanoseconds, naming the nearest
     """
     check_kind(timestep_s, Real, 'a timestep', 'a number')
-    timestep_s = _of_python(timestep_s)
-    if not 1e-9 <= timestep_s <= sys.float_info.max / 1e9:
+    number_s = finite_or_nan(timestep_s)
+    if not 1e-9 <= number_s <= sys.float_info.max / 1e9:
         raise ModelError('a timestep must be positive and finite, got '
                          f'{format_value(timestep_s)} s')
-    nanoseconds = timestep_s * 1e9
+    nanoseconds = number_s * 1e9
     if abs(nanoseconds - round(nanoseconds)) > 1e-5:
         raise ModelError('a timestep must be a whole number of nanoseconds, got '
-                         f'{timestep_s!r} s; the nearest is {round(nanoseconds) / 1e9:.9f}')
-    return timestep_s
+                         f'{number_s!r} s; the nearest is {round(nanoseconds) / 1e9:.9f}')
+    return number_s
 
 
 def steps_of(period_s: float, timestep_s: float) -> int | None:

@@ -19,7 +19,6 @@ from functools import cached_property, update_wrapper
 import inspect
 import logging
 import math
-from numbers import Real
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -30,6 +29,7 @@ from manip_sim.control.servos import Servos
 from manip_sim.errors import ModelError, UnknownNameError
 from manip_sim.quoting import format_value, one_line, quoted
 from manip_sim.resources import Offer, offers
+from manip_sim.validation import finite_or_nan
 
 #: The fields of ``sensor_msgs/JointState`` that may hold commands.
 FIELDS = ('position', 'velocity', 'effort')
@@ -315,7 +315,8 @@ class Law:
         function = getattr(function, 'py_func', function)  # Numba has decorated it.
         self.name = _checked_name(function)
         self.function = function
-        self.defaults = _checked_parameters(self.name, parameters or {})
+        self.defaults = _checked_parameters(
+            self.name, {} if parameters is None else parameters)
         if isinstance(memory, bool) or not isinstance(memory, int) or not (
                 0 <= memory <= _MOST_MEMORY):
             raise ModelError(f"law '{self.name}': memory must be a whole number from 0 to "
@@ -560,11 +561,11 @@ def _checked_parameters(law_name: str, given: Mapping[str, float]) -> dict[str, 
 
 
 def _finite(law_name: str, name: str, value: float) -> float:
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or not (
-            math.isfinite(value)):
+    number = finite_or_nan(value)
+    if math.isnan(number):
         raise ModelError(f"law '{law_name}': {name} must be a finite number, "
                          f'got {format_value(value)}')
-    return float(value)
+    return number
 
 
 def _reason(error: Exception) -> str:

@@ -267,6 +267,7 @@ def recorded_parameters(simulation):
 @pytest.mark.parametrize(('change', 'error', 'text'), [
     (lambda p: p.__setitem__('stiffness', math.nan), ModelError, 'stiffness must be a finite'),
     (lambda p: p.__setitem__('stiffness', 'high'), ModelError, 'stiffness must be a finite'),
+    (lambda p: p.__setitem__('stiffness', 10**400), ModelError, 'stiffness must be a finite'),
     (lambda p: p.__setitem__('stifness', 1.0), UnknownNameError, "'stifness': did you mean 'stif"),
     (lambda p: p['damp'], UnknownNameError, "'damp': did you mean 'damping'"),
     (lambda p: p.__delitem__('damping'), TypeError, 'cannot be deleted')])
@@ -313,6 +314,9 @@ def test_arguments_of_a_law_may_have_other_names_but_not_those_of_one_another():
     ({'parameters': {'two words': 1.0}}, 'must be a word'),
     ({'parameters': {'where': 1.0}}, "cannot be named 'where'"),
     ({'parameters': {'gain': None}}, 'gain must be a finite number'),
+    ({'parameters': {'gain': 10**400}}, 'gain must be a finite number'),
+    ({'parameters': 0}, 'parameters must be a dict'),
+    ({'parameters': np.zeros(2)}, 'parameters must be a dict'),
     ({'memory': -1}, 'memory must be a whole number from 0'),
     ({'memory': 1.5}, 'memory must be a whole number from 0'),
     ({'memory': 10**9}, 'memory must be a whole number from 0')])
