@@ -245,7 +245,8 @@ def _list_names(graph: _Graph, options: argparse.Namespace) -> None:
 
 def _type(graph: _Graph, options: argparse.Namespace) -> None:
     present = graph.topics if options.command == 'topic' else graph.services
-    for type_name in present()[graph.find(options.command, options.name, present)]:
+    name = graph.find(options.command, options.name, present)
+    for type_name in present().get(name, []):
         _say(type_name)
 
 
@@ -253,7 +254,7 @@ def _info(graph: _Graph, options: argparse.Namespace) -> None:
     name = graph.find('topic', options.name, graph.topics)
     graph.settle()
     end = '\n\n' if options.verbose else '\n'
-    _say(f'Type: {", ".join(graph.topics()[name])}', end)
+    _say(f'Type: {", ".join(graph.topics().get(name, []))}', end)
     for label, infos in (('Publisher', graph.node.get_publishers_info_by_topic(name)),
                          ('Subscription', graph.node.get_subscriptions_info_by_topic(name))):
         _say(f'{label} count: {len(infos)}', end)

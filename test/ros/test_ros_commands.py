@@ -325,10 +325,20 @@ def test_names_are_found_by_type_and_a_parameter_is_deleted_from_another_process
     assert run('topic find std_msgs/String') == '/told\n'
     assert run('topic find -c std_msgs/msg/String') == '1\n'
     assert run('service find std_srvs/srv/SetBool') == '/refuses\n'
+    assert run('topic type /told') == 'std_msgs/msg/String\n'
+    assert run('service type /refuses') == 'std_srvs/srv/SetBool\n'
     assert run(f'param delete {node} loose') == 'Deleted parameter successfully\n'
     assert not spinning.has_parameter('loose')
     spinning.destroy_publisher(publisher)
     spinning.destroy_service(service)
+
+
+def test_the_type_of_a_topic_that_comes_later_is_printed(graph, capsys):
+    later = threading.Timer(0.5, graph.node.create_publisher, (String, 'later', 10))
+    later.start()
+    assert manip_sim('topic type /later') == 0
+    assert capsys.readouterr().out == 'std_msgs/msg/String\n'
+    later.join()
 
 
 @pytest.mark.full
