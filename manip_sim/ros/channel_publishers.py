@@ -120,6 +120,8 @@ class ChannelPublishers(Feature):
         #: Channels whose exact values are not published.
         self._alone: list[Channel] = []
         self._subscribed: tuple[Publication, ...] = ()
+        #: ``matches`` of the inbox when subscribers were looked for; None: look for them again.
+        self._seen: int | None = None
         self.world_changed()
         context.thread.observe(self.publish, every, self.look)
 
@@ -170,7 +172,7 @@ class ChannelPublishers(Feature):
                     table.append(channel.topic)
                 present[name] = (Publication if channel.write is None else OfferedPublication)(
                     self._context, channel)
-        self._all = present
+        self._all, self._seen = present, None
         gone = before.keys() - present.keys()
         if gone:
             # Afterwards the simulation's thread reads none of them.
@@ -182,8 +184,13 @@ class ChannelPublishers(Feature):
             self._prepare()
 
     def look(self) -> bool:
-        """Check which channels have subscribers, and return whether any has."""
-        self._subscribed = tuple(publisher for publisher in self._all.values() if publisher.look())
+        """Return whether any channel has subscribers; checks which ones if some came or went."""
+        matches = None if self._context.inbox is None else self._context.inbox.matches
+        if matches is None or matches != self._seen:
+            # Noted first: others may come while they are checked.
+            self._seen = matches
+            self._subscribed = tuple(
+                publication for publication in self._all.values() if publication.look())
         return bool(self._subscribed)
 
     def publish(self, simulation: Simulation) -> None:

@@ -201,8 +201,11 @@ class PendingCommands:
     @property
     def complete(self) -> bool:
         """True if every part that lock-step waits for has a command, or needs none."""
-        return not any(buffer.missing() and buffer.missing(self._busy_parts(name))
-                       for name, buffer in self._buffers.items())
+        for name, buffer in self._buffers.items():
+            missing = buffer.missing()
+            if missing and missing.difference(self._busy_parts(name)):
+                return False
+        return True
 
     @property
     def missing(self) -> dict[str, list[str]]:

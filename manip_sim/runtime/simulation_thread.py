@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError, Future
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import math
 import threading
 import time
-from typing import Any, TypeVar
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
 
 from manip_sim.control.commands import Command, CommandHandle
 from manip_sim.errors import CommandError, DivergenceError, SimulationEnded
@@ -98,8 +99,7 @@ class Observers:
                 entry.observer(simulation)
 
 
-@dataclass(frozen=True)
-class Progress:
+class Progress(NamedTuple):
     """
     Progress of the simulation.
 
@@ -115,7 +115,7 @@ class Progress:
     time_ns: int
     missed: int = 0
     lost_s: float = 0.0
-    waits_for: Mapping[str, list[str]] = field(default_factory=dict)
+    waits_for: Mapping[str, list[str]] = MappingProxyType({})
 
 
 class Pacer:

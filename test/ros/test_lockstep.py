@@ -12,6 +12,7 @@ from threading import Event
 
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
 from harness import Client, START_S
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from manip_sim.errors import CommandError
+from manip_sim.ros.channel_publishers import Publication
 
 CYCLES = 250
 PERIOD_NS = 2_000_000
@@ -243,3 +245,19 @@ def test_names_without_a_number_answer_for_their_part_and_it_goes_on(position, s
     answered(40)
     assert node.simulation.robot.state().position[0] > 0.1
     assert not any(s.rejected for s in node.commands.robots[0].statistics.values())
+
+
+def test_publishers_are_asked_for_subscribers_once_some_have_come_not_for_each_state(
+        serve, client, monkeypatch):
+    asked, look = [], Publication.look
+    monkeypatch.setattr(
+        Publication, 'look', lambda publication: asked.append(publication) or look(publication))
+    serve(stepping='lockstep')
+    states = client.listen(JointState, 'joint_states')
+    client.spin_until(lambda: len(states) > 5)
+    asked.clear()
+    client.spin_until(lambda: len(states) > 10)
+    assert not asked
+    wrenches = client.listen(WrenchStamped, 'right/wrench')
+    client.spin_until(lambda: wrenches)
+    assert asked

@@ -189,7 +189,7 @@ def publish(monkeypatch):
         monkeypatch.setattr(channel_publishers, 'create_output',
                             lambda *_: Output(publisher, None))
         context = Plain(robots={}, table=[], thread=Plain(observe=lambda *_: None),
-                        is_built=True)
+                        is_built=True, inbox=None)
         return publisher, ChannelPublishers(context, lambda _: [[channel]])
     return start
 
