@@ -156,21 +156,21 @@ def _follow(plan: WorldPlan, objects: tuple[ObjectModel, ...], spec: Any, taken:
                      ElementMap(plan.compiled, compiled))
 
 
-def plan_without(plan: WorldPlan, name: str) -> WorldPlan:
+def plan_without(plan: WorldPlan, *names: str) -> WorldPlan:
     """
-    Return the plan of a world without one of its objects.
+    Return the plan of a world without some of its objects.
 
-    :raises UnknownNameError: if it is not the name of an object
+    :raises UnknownNameError: if one is not the name of an object
     """
-    if name not in plan.object_names:
-        raise UnknownNameError('object', name, plan.object_names)
-    left = tuple(item for item in plan.objects if item.name != name)
-    gone = plan.objects[plan.object_names.index(name)]
+    for name in names:
+        if name not in plan.object_names:
+            raise UnknownNameError('object', name, plan.object_names)
+    left = tuple(item for item in plan.objects if item.name not in names)
     spec = plan.spec.copy()
     taken = plan.taken.copy(spec)
-    if not gone.detach(spec, taken):
+    if not all(item.detach(spec, taken) for item in plan.objects if item.name in names):
         spec, taken = _composed(plan.base, left)
-    return _follow(plan, left, spec, taken, f"the world without '{name}'")
+    return _follow(plan, left, spec, taken, f'the world without {quoted_names(names, 3)}')
 
 
 def start_live(plan: WorldPlan) -> LiveWorld:

@@ -67,7 +67,7 @@ StateCode = IntEnum('StateCode', {
     'STATE_STOPPED': 0, 'STATE_PLAYING': 1, 'STATE_PAUSED': 2, 'STATE_NO_WORLD': 4})
 #: Constants of the request of ``ResetSimulation``.
 ScopeCode = IntEnum('ScopeCode', {
-    'SCOPE_DEFAULT': 0, 'SCOPE_TIME': 1, 'SCOPE_STATE': 2, 'SCOPE_ALL': 255})
+    'SCOPE_DEFAULT': 0, 'SCOPE_TIME': 1, 'SCOPE_STATE': 2, 'SCOPE_SPAWNED': 4, 'SCOPE_ALL': 255})
 #: Constants of the message ``EntityCategory``.
 Category = IntEnum('Category', {
     'CATEGORY_OBJECT': 0, 'CATEGORY_ROBOT': 1, 'CATEGORY_HUMAN': 2,
@@ -106,6 +106,7 @@ class FeatureCode(IntEnum):
     SPAWNABLES = 14, 'GetSpawnables'
     SIMULATION_RESET = 20
     SIMULATION_RESET_STATE = 22
+    SIMULATION_RESET_SPAWNED = 23
     SIMULATION_STATE_GETTING = 24
     SIMULATION_STATE_SETTING = 25
     SIMULATION_STATE_PAUSE = 26
@@ -449,6 +450,19 @@ class SpawningServices:
             raise CommandError(f"'{name}' belongs to the arena or a robot that was there at the "
                                'start, and cannot be deleted')
         self._take_over(plan_without(plan, name), 'delete', name)
+
+    async def despawn(self) -> None:
+        """
+        Remove all objects and robots that came while the simulation ran; in :attr:`group`.
+
+        :raises Rejection: if the physics is on hold, and there are some
+        """
+        for robot in list(self._simulation.spawned_robots):
+            await delete_robot(self._context, robot)
+        names, plan = self._context.thread.changes.operations.spawned, self._simulation.plan
+        if names:
+            self._take_over(await in_background(
+                self._context.node, lambda: plan_without(plan, *names)), 'despawn')
 
     def _take_over(self, plan: WorldPlan, operation: str, *arguments: Any) -> None:
         change_unless_diverged(self._context, partial(

@@ -32,7 +32,7 @@ from manip_sim.ros.feature import Feature, NodeContext
 from manip_sim.ros.messages import filled, import_optional, numbers_of, stamp_of, WORLD
 from manip_sim.ros.spawning_services import (
     answering, answering_later, BoundsType, Category, change_unless_diverged, check_frame,
-    delete_robot, FeatureCode, FORMATS, LoadCode, reject_if_diverged, Rejection, resource_of,
+    FeatureCode, FORMATS, LoadCode, reject_if_diverged, Rejection, resource_of,
     result_filled, ResultCode, ScopeCode, SetEntityCode, SetStateCode, SpawningServices,
     StandardTypes, StateCode, SUFFIXES, TagsMode, WorldCode)
 from manip_sim.simulation.robot_spawning import plan_in_arena, RequestedRobot, RobotsPlan
@@ -45,6 +45,8 @@ _MAX_FILTER_BYTES, _MAX_FILTER_LENGTH = 2**20, 1000
 _MAX_DESCRIPTION, _MAX_TAGS, _MAX_TAG = 10_000, 100, 200
 _ABOUT = ('manip_sim: a step is one control period, 1/publish_rate of simulation time; scope ALL '
           'of a reset restarts simulation time, scope STATE lets it go on.')
+#: Scopes that can be together.
+_SCOPES = ScopeCode.SCOPE_TIME | ScopeCode.SCOPE_STATE | ScopeCode.SCOPE_SPAWNED
 
 
 @dataclass(frozen=True)
@@ -272,15 +274,17 @@ class SimulationInterfaces:
     The services of the standard for simulation state, steps and reset.
 
     A step is one control period. Scope ``ALL`` of a reset, and the state ``STOPPED``, restart
-    simulation time; scope ``STATE`` lets it go on, as ``~/reset`` does.
+    simulation time and remove what was spawned; scope ``STATE`` does neither, as ``~/reset``.
 
     :param types: the message types of the package
+    :param spawning: whose group a reset shares, because it removes what was spawned
     :ivar no_world: whether the world has been unloaded
     """
 
-    def __init__(self, context: NodeContext, types: StandardTypes) -> None:
+    def __init__(self, context: NodeContext, types: StandardTypes, spawning: SpawningServices
+                 ) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
-        self._types = types
+        self._types, self._spawning = types, spawning
         self._stopped = False
         self.no_world = False
         # A request for many steps takes long, so it does not hold up the others.
@@ -288,9 +292,10 @@ class SimulationInterfaces:
         types.offer(context.node, {'StepSimulation': answering_later(self._step)}, groups[0])
         types.offer(context.node, {
             'GetSimulatorFeatures': self._features,
-            'GetSimulationState': answering(self._get_state),
-            'SetSimulationState': answering(self._set_state),
-            'ResetSimulation': answering(self._reset)}, groups[1])
+            'GetSimulationState': answering(self._get_state)}, groups[1])
+        types.offer(context.node, {
+            'SetSimulationState': answering_later(self._set_state),
+            'ResetSimulation': answering_later(self._reset)}, spawning.group)
         self._has_goal = False
         self._server = None
         if types.has('SimulateSteps'):
@@ -334,7 +339,7 @@ class SimulationInterfaces:
     def _get_state(self, _: Any, response: Any) -> None:
         response.state.state = self._state()
 
-    def _set_state(self, request: Any, response: Any) -> None:
+    async def _set_state(self, request: Any, _: Any) -> None:
         target = request.state.state
         self._reject_without_world()
         if target not in list(StateCode)[:3]:
@@ -348,7 +353,7 @@ class SimulationInterfaces:
             reject_if_diverged(self._context, SetStateCode.STATE_TRANSITION_ERROR)
         self._thread.pause(target != StateCode.STATE_PLAYING)
         if target == StateCode.STATE_STOPPED:
-            self._thread.reset(restart_time=True)
+            await self._put_back(restart_time=True, despawn=True)
         self._stopped = target == StateCode.STATE_STOPPED
 
     async def _step(self, request: Any, _: Any) -> None:
@@ -406,17 +411,28 @@ class SimulationInterfaces:
             goal_handle.abort()
         return result
 
-    def _reset(self, request: Any, response: Any) -> None:
+    async def _reset(self, request: Any, _: Any) -> None:
         self._reject_without_world()
-        scope = request.scope
-        everything = scope in (ScopeCode.SCOPE_DEFAULT, ScopeCode.SCOPE_ALL)
-        known = ScopeCode.SCOPE_TIME | ScopeCode.SCOPE_STATE
-        if not everything and (scope & ~known or not scope & ScopeCode.SCOPE_STATE):
+        scope = _SCOPES if request.scope in (
+            ScopeCode.SCOPE_DEFAULT, ScopeCode.SCOPE_ALL) else request.scope
+        time, state, spawned = (bool(scope & each) for each in (
+            ScopeCode.SCOPE_TIME, ScopeCode.SCOPE_STATE, ScopeCode.SCOPE_SPAWNED))
+        if scope & ~_SCOPES or time and not state:
             raise Rejection(ResultCode.RESULT_FEATURE_UNSUPPORTED,
-                            f'scope {scope} is not supported, only ALL (0 or 255), STATE (2) and '
-                            'STATE with TIME (3)')
-        self._thread.reset(
-            restart_time=everything or bool(scope & ScopeCode.SCOPE_TIME))
+                            f'scope {scope} is not supported, only ALL (0 or 255), STATE (2), '
+                            'SPAWNED (4), both (6), and TIME (1) with STATE')
+        if state:
+            await self._put_back(restart_time=time, despawn=spawned)
+        else:
+            await self._spawning.despawn()
+
+    async def _put_back(self, restart_time: bool, despawn: bool) -> None:
+        """Put the simulation to its start, without what was spawned if that is to go too."""
+        if despawn:
+            if self._simulation.diverged is not None:  # Nothing can go before a reset.
+                self._thread.reset()
+            await self._spawning.despawn()
+        self._thread.reset(restart_time)
 
 
 #: Scheme of the uris of arenas.
@@ -442,7 +458,7 @@ class WorldServices:
     def __init__(self, context: NodeContext, states: SimulationInterfaces, types: StandardTypes,
                  spawning: SpawningServices) -> None:
         self._context, self._simulation, self._thread = context, context.simulation, context.thread
-        self._states, self._files, self._types = states, spawning.files, types
+        self._states, self._spawning, self._types = states, spawning, types
         types.offer(context.node, {
             'LoadWorld': answering_later(self._load),
             'UnloadWorld': answering_later(self._unload)}, spawning.group)
@@ -483,8 +499,7 @@ class WorldServices:
             raise CommandError('the world belongs to a task, which needs it')
         # A world that cannot be used is rejected before anything goes.
         await in_background(self._context.node, lambda: self._plan(name))
-        for robot in list(self._simulation.spawned_robots):
-            await delete_robot(self._context, robot)
+        await self._spawning.despawn()
         plan = await in_background(self._context.node, lambda: self._plan(name))
         self._thread.change_robots(plan, 'the arena was replaced')
         self._states.stop()
@@ -553,13 +568,14 @@ class WorldServices:
             raise UnknownNameError('named pose', request.name, sites)
 
     def _get_spawnables(self, request: Any, response: Any) -> None:
+        files = self._spawning.files
         unknown = [source for source in request.sources
-                   if not any(map(self._files.is_folder, self._files.places(source)))]
+                   if not any(map(files.is_folder, files.places(source)))]
         if unknown:
             response.result.error_message = (
                 f'not below spawn_roots: {", ".join(map(quoted, unknown))}')
         spawnables = []
-        for file in self._files.found(SUFFIXES, _MOST_FILES):
+        for file in files.found(SUFFIXES, _MOST_FILES):
             spawnables.append(self._types.messages.Spawnable(description='a file'))
             resource_of(spawnables[-1], 'entity_resource').uri = file.as_uri()
         for name in robot_names():
@@ -589,9 +605,10 @@ class StandardServices(Feature):
         if not AVAILABLE:
             context.missing['simulation_interfaces'] = 'standard simulation services'
             return
-        self._simulation = SimulationInterfaces(context, TYPES)
+        spawning = SpawningServices(context, files, TYPES)
+        self._simulation = SimulationInterfaces(context, TYPES, spawning)
         self._entities = EntityServices(context, TYPES)
-        WorldServices(context, self._simulation, TYPES, SpawningServices(context, files, TYPES))
+        WorldServices(context, self._simulation, TYPES, spawning)
 
     def world_changed(self) -> None:
         if AVAILABLE:

@@ -69,7 +69,7 @@ class Operations:
             'direct_command': self._direct_command, 'target': simulation.surroundings.set_target,
             'pull': simulation.pulls.pull, 'end_pull': simulation.pulls.end,
             'answer': lambda: None, 'spawn': self._spawn, 'spawn_all': self._spawn_all,
-            'delete': self._delete}
+            'delete': self._delete, 'despawn': self._despawn}
 
     def run(self, name: str, *arguments: Any, using: Any = None) -> Any:
         """
@@ -174,6 +174,15 @@ class Operations:
     def _delete(self, name: str, plan: WorldPlan | None = None) -> None:
         self._simulation.change_objects(plan or plan_without(self._simulation.plan, name))
         self._spawned.pop(name, None)
+
+    def _despawn(self, plan: WorldPlan | None = None) -> None:
+        self._simulation.change_objects(plan or plan_without(self._simulation.plan, *self.spawned))
+        self._spawned.clear()
+
+    @property
+    def spawned(self) -> list[str]:
+        """Names of the objects that were spawned."""
+        return list(self._spawned)
 
     @property
     def objects(self) -> list[list[Any]]:

@@ -503,7 +503,10 @@ def test_objects_that_come_and_go_are_repeated(session, verify):
     node.thread.change('delete', 'box')
     node.thread.change('spawn_all', [
         [name, YAML, [0.4, y, 1.1], turn] for name, y in (('left', 0.5), ('right', -0.5))])
-    node.act(110)
+    node.act(10)
+    node.thread.change('despawn')
+    assert node.simulation.plan.object_names == []
+    node.act(100)
     node.close()
     code, lines = verify()
     assert (code, lines[-1]) == (0, '1 of 1 equal'), lines

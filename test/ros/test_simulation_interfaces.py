@@ -130,7 +130,8 @@ def test_the_features_are_those_that_work(serve, client):
     assert set(features.features) == {
         SimulatorFeatures.ENTITY_CATEGORIES, SimulatorFeatures.ENTITY_STATE_GETTING,
         SimulatorFeatures.ENTITY_STATE_SETTING, SimulatorFeatures.SIMULATION_RESET,
-        SimulatorFeatures.SIMULATION_RESET_STATE, SimulatorFeatures.SIMULATION_STATE_GETTING,
+        SimulatorFeatures.SIMULATION_RESET_STATE, SimulatorFeatures.SIMULATION_RESET_SPAWNED,
+        SimulatorFeatures.SIMULATION_STATE_GETTING,
         SimulatorFeatures.SIMULATION_STATE_SETTING, SimulatorFeatures.SIMULATION_STATE_PAUSE,
         SimulatorFeatures.STEP_SIMULATION_SINGLE, SimulatorFeatures.STEP_SIMULATION_MULTIPLE,
         SimulatorFeatures.SPAWNING, SimulatorFeatures.SPAWNING_RESOURCE_STRING,
@@ -343,8 +344,22 @@ def test_a_reset_puts_all_back_and_keeps_or_restarts_time(scope, restarts, serve
     assert get_state(client) == PAUSED
 
 
+@pytest.mark.parametrize('scope', [ResetSimulation.Request.SCOPE_DEFAULT,
+                                   ResetSimulation.Request.SCOPE_SPAWNED])
+def test_a_reset_removes_what_was_spawned(scope, sim_process, client):
+    sim_process('arena:=table')
+    assert spawn(client).result.result == OK
+    assert spawn(client, '{robot: UR5e, name: second}').result.result == OK
+    client.spin_until(lambda: client.node.count_publishers('second/joint_states') == 1)
+    assert reset(client, scope).result == OK
+    assert entities(client).entities == ['robot0_base', 'cube']
+    client.spin_until(lambda: client.node.count_publishers('second/joint_states') == 0
+                      and client.node.count_publishers('objects/ball/pose') == 0)
+
+
 @pytest.mark.parametrize('scope', [ResetSimulation.Request.SCOPE_TIME,
-                                   ResetSimulation.Request.SCOPE_SPAWNED, 6, 64])
+                                   ResetSimulation.Request.SCOPE_TIME
+                                   | ResetSimulation.Request.SCOPE_SPAWNED, 64])
 def test_a_scope_that_does_not_work_is_rejected(scope, serve, client):
     node = serve(start_paused=True)
     step(client, 1)

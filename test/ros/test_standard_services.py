@@ -91,10 +91,10 @@ class Standard:
             log=None, frame_prefix='', inbox=None, publishing=None, table=[],
             composition=Composition([], self.world, 5), features=[
                 Plain(world_changed=lambda: self.followed.append(self.simulation))])
-        states = SimulationInterfaces(context, TYPES)
+        spawning = SpawningServices(context, AllowedRoots([folder], 'spawn_roots'), TYPES)
+        states = SimulationInterfaces(context, TYPES, spawning)
         self.entity_services = EntityServices(context, TYPES)
-        files = AllowedRoots([folder], 'spawn_roots')
-        WorldServices(context, states, TYPES, SpawningServices(context, files, TYPES))
+        WorldServices(context, states, TYPES, spawning)
         self.thread.start()
 
     def create_service(self, service_type, name, callback, callback_group=None):
@@ -204,9 +204,9 @@ def test_numbers_are_those_of_version_2_1_of_the_package():
             SpawnAllCode: [150], LoadCode: [101, 102], WorldCode: [101],
             ResultCode: [0, 1, 2, 3, 4], SetStateCode: [101, 102], SetEntityCode: [101],
             SpawnCode: [101, 102, 103, 104, 105, 106, 109], StateCode: [0, 1, 2, 4],
-            ScopeCode: [0, 1, 2, 255], Category: [0, 1, 2, 4, 5], BoundsType: [0, 1, 2, 3],
+            ScopeCode: [0, 1, 2, 4, 255], Category: [0, 1, 2, 4, 5], BoundsType: [0, 1, 2, 3],
             TagsMode: [0, 1], FeatureCode: [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 20,
-                                            22, 24, 25, 26, 31, 32, 33, 40, 43, 44, 45,
+                                            22, 23, 24, 25, 26, 31, 32, 33, 40, 43, 44, 45,
                                             50]}.items():
         assert [int(code) for code in codes.__members__.values()] == numbers
 
@@ -268,21 +268,66 @@ def test_reset_puts_all_back_and_keeps_or_restarts_time(standard, scope, restart
     assert standard.entity().state.pose.position == start
 
 
-@pytest.mark.parametrize('scope', [ScopeCode.SCOPE_TIME, 4, 6, 64])
+@pytest.mark.parametrize(('scope', 'left', 'time'), [
+    (ScopeCode.SCOPE_DEFAULT, 0, 1), (ScopeCode.SCOPE_ALL, 0, 1), (ScopeCode.SCOPE_STATE, 2, 6),
+    (ScopeCode.SCOPE_STATE | ScopeCode.SCOPE_TIME, 2, 1), (ScopeCode.SCOPE_SPAWNED, 0, 5),
+    (ScopeCode.SCOPE_STATE | ScopeCode.SCOPE_SPAWNED, 0, 6),
+    (ScopeCode.SCOPE_STATE | ScopeCode.SCOPE_TIME | ScopeCode.SCOPE_SPAWNED, 0, 1)])
+def test_a_reset_of_spawned_entities_removes_them_and_no_others(standard, scope, left, time):
+    standard.spawn(BALL)
+    standard.spawn(BALL, name='second')
+    standard.place(position=(0.1, 0.2, 1.5))
+    standard.code('step_simulation', steps=4)
+    height = standard.entity().state.pose.position.z
+    assert standard.code('reset_simulation', scope=int(scope)) == (OK, '')
+    assert sorted(standard.entities().entities) == sorted(
+        ['robot0_base', 'cube', *['ball', 'second'][:left]])
+    assert standard.simulation.time_ns == PERIOD_NS * time
+    assert (standard.entity().state.pose.position.z == height) is (
+        scope == ScopeCode.SCOPE_SPAWNED)
+    # They can come again, and the objects of the start are known for such.
+    assert standard.spawn(BALL, name='again').entity_name == 'again'
+    assert standard.code('reset_simulation', scope=4) == (OK, '')
+    assert standard.entities().entities == ['robot0_base', 'cube']
+
+
+def test_a_stopped_simulation_has_nothing_that_was_spawned(standard):
+    standard.spawn(BALL)
+    standard.set_state(PLAYING)
+    assert standard.set_state(STOPPED) == (OK, '')
+    assert standard.entities().entities == ['robot0_base', 'cube']
+    assert standard.state() == STOPPED and standard.simulation.time_ns == PERIOD_NS
+
+
+def test_objects_of_a_world_that_was_loaded_are_not_spawned_ones(standard):
+    load(standard, 'arena:empty')
+    standard.spawn(BALL, name='cube')
+    load(standard, 'arena:table')
+    assert standard.code('reset_simulation', scope=0) == (OK, '')
+    assert standard.entities().entities == ['robot0_base', 'cube']
+
+
+@pytest.mark.parametrize('scope', [ScopeCode.SCOPE_TIME, 5, 8, 64])
 def test_scope_that_does_not_work_is_rejected(standard, scope):
     code, text = standard.code('reset_simulation', scope=int(scope))
     assert code == UNSUPPORTED and f'scope {int(scope)} is not supported' in text
 
 
 def test_simulation_that_diverged_can_be_reset_only(standard):
+    standard.spawn(BALL)
     standard.explode()
     for code, text in (
             standard.set_state(PLAYING), standard.code('step_simulation', steps=1),
-            standard.place(), standard.code('spawn_entity', **spawn_request(BALL))):
+            standard.place(),
+            standard.code('spawn_entity', **spawn_request(BALL, name='second'))):
         assert code in (SetStateCode.STATE_TRANSITION_ERROR, FAILED,
                         ResultCode.RESULT_INCORRECT_STATE)
         assert text.endswith('reset it first')
+    rejected = standard.code('reset_simulation', scope=4)
+    assert rejected[0] == ResultCode.RESULT_INCORRECT_STATE
+    assert rejected[1].endswith('reset it first')
     assert standard.code('reset_simulation', scope=0) == (OK, '')
+    assert standard.entities().entities == ['robot0_base', 'cube']
     assert standard.set_state(PLAYING) == (OK, '')
 
 
@@ -585,7 +630,7 @@ def test_a_world_is_loaded_in_place_of_another_with_its_objects_and_is_stopped(s
     assert standard.state() == STOPPED and standard.simulation.time_ns == PERIOD_NS
     assert standard.entities().entities == ['robot0_base']
     assert standard.call('get_current_world').world.name == 'bins'
-    assert len(standard.followed) == 2
+    assert len(standard.followed) == 3
     # It is used as any other.
     assert standard.set_state(PAUSED) == (OK, '')
     assert standard.spawn(BALL).entity_name == 'ball'
