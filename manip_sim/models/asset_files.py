@@ -37,6 +37,14 @@ class LostShape(str):
     __slots__ = ()
 
 
+class MissingAssetError(ModelError):
+    """A mesh or texture of something that is spawned is not there."""
+
+
+class UnsupportedAssetError(ModelError):
+    """A mesh or texture is of a type that cannot be spawned."""
+
+
 class MissingMeshError(Exception):
     """
     A mesh is missing or cannot be read.
@@ -201,9 +209,10 @@ def check_suffix(kind: str, file: Path) -> None:
     Check that a file is of a type that can be spawned.
 
     :param kind: ``mesh`` or ``texture``
+    :raises UnsupportedAssetError: if it is not
     """
     if file.suffix.lower() not in SPAWNED_SUFFIXES.get(kind, ()):
-        raise ModelError(
+        raise UnsupportedAssetError(
             f'{kind} file {one_line(str(file))} has a type that cannot be spawned; these types '
             f'can: {", ".join(sum(SPAWNED_SUFFIXES.values(), ()))}')
 

@@ -31,7 +31,8 @@ from xml.etree import ElementTree
 import mujoco
 
 from manip_sim.errors import ModelError
-from manip_sim.models.asset_files import check_suffix, places, references
+from manip_sim.models.asset_files import (
+    check_suffix, MissingAssetError, places, references)
 from manip_sim.models.loading import compile_spec, Document, documents_of, spec_from_documents
 from manip_sim.models.user_files import CachedFiles, Files
 from manip_sim.models.xml_model import AssetFolders, XmlModel
@@ -144,9 +145,15 @@ class SelfContainedModel:
         """
         Read a mesh or texture, and return its name in the model.
 
+        :raises MissingAssetError: if it is not there
         :raises ModelError: if it cannot be read, or is of a type that cannot be spawned
         """
-        content = files.read(file, f'{kind} file')
+        try:
+            content = files.read(file, f'{kind} file')
+        except ModelError as error:
+            if files.is_file(file):
+                raise
+            raise MissingAssetError(str(error)) from error
         check_suffix(kind, file)
         name = held_name(file, content)
         self.assets[name] = content

@@ -26,6 +26,7 @@ from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from manip_sim.algebra import xyzw_to_wxyz
 from manip_sim.errors import CommandError, ManipSimError, ModelError, UnknownNameError
 from manip_sim.interface.composition import check_robot_name
+from manip_sim.models.asset_files import MissingAssetError, UnsupportedAssetError
 from manip_sim.models.object_creation import (
     create_object, named_by_itself, object_from_model, object_from_text, ObjectModel, UNNAMED)
 from manip_sim.models.object_model import check_object_name
@@ -55,7 +56,8 @@ SetEntityCode = IntEnum('SetEntityCode', {'INVALID_POSE': 101})
 #: Constants of the response of ``SpawnEntity``.
 SpawnCode = IntEnum('SpawnCode', {
     'NAME_NOT_UNIQUE': 101, 'NAME_INVALID': 102, 'UNSUPPORTED_FORMAT': 103, 'NO_RESOURCE': 104,
-    'NAMESPACE_INVALID': 105, 'RESOURCE_PARSE_ERROR': 106, 'INVALID_POSE': 109})
+    'NAMESPACE_INVALID': 105, 'RESOURCE_PARSE_ERROR': 106, 'MISSING_ASSETS': 107,
+    'UNSUPPORTED_ASSETS': 108, 'INVALID_POSE': 109})
 #: Constants of the response of ``SpawnEntities``.
 SpawnAllCode = IntEnum('SpawnAllCode', {'ENTITIES_SPAWN_FAILED': 150})
 #: Constants of the response of ``LoadWorld``.
@@ -378,6 +380,9 @@ class SpawningServices:
         if request.entity_namespace.strip('/'):
             raise Rejection(SpawnCode.NAMESPACE_INVALID,
                             'an object is published below objects/ and has no namespace')
+        if not (request.name or request.allow_renaming or item.name != UNNAMED):
+            raise Rejection(SpawnCode.NAME_INVALID, 'it has no name: give one in the request, or '
+                            'allow renaming')
         item.name = self._free_name(request.name or item.name, request.allow_renaming,
                                     {new.item.name for new in before})
         place = pose.position.tolist(), xyzw_to_wxyz(pose.quat_xyzw).tolist()
@@ -475,9 +480,14 @@ def _parsing() -> Iterator[None]:
     try:
         yield
     except ModelError as error:
-        raise Rejection(SpawnCode.RESOURCE_PARSE_ERROR, str(error)) from error
+        code = next((code for kind, code in _CODES.items() if isinstance(error, kind)),
+                    SpawnCode.RESOURCE_PARSE_ERROR)
+        raise Rejection(code, str(error)) from error
 
 
+#: Codes of errors of models that say more than that one cannot be read.
+_CODES = {MissingAssetError: SpawnCode.MISSING_ASSETS,
+          UnsupportedAssetError: SpawnCode.UNSUPPORTED_ASSETS}
 #: Kinds of things that a request may bring.
 _Item = ObjectModel | RequestedRobot
 

@@ -39,6 +39,8 @@ PERIOD_NS = 10_000_000
 BALL = '{name: ball, shape: sphere, size: 0.1, mass: 0.2}'
 MJCF = ('<mujoco><worldbody><body name="can"><freejoint/>'
         '<geom size="0.03" mass="0.1"/></body></worldbody></mujoco>')
+OF_MESH = ('<mujoco><asset><mesh name="m" file="{}"/></asset><worldbody><body name="can">'
+           '<geom type="mesh" mesh="m" mass="1"/></body></worldbody></mujoco>')
 SERVICES = (
     'GetSimulatorFeatures', 'GetSimulationState', 'SetSimulationState', 'StepSimulation',
     'ResetSimulation', 'GetEntities', 'GetEntitiesStates', 'GetEntityInfo', 'SetEntityInfo',
@@ -203,7 +205,7 @@ def test_numbers_are_those_of_version_2_1_of_the_package():
     for codes, numbers in {
             SpawnAllCode: [150], LoadCode: [101, 102], WorldCode: [101],
             ResultCode: [0, 1, 2, 3, 4], SetStateCode: [101, 102], SetEntityCode: [101],
-            SpawnCode: [101, 102, 103, 104, 105, 106, 109], StateCode: [0, 1, 2, 4],
+            SpawnCode: [*range(101, 110)], StateCode: [0, 1, 2, 4],
             ScopeCode: [0, 1, 2, 4, 255], Category: [0, 1, 2, 4, 5], BoundsType: [0, 1, 2, 3],
             TagsMode: [0, 1], FeatureCode: [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 20,
                                             22, 23, 24, 25, 26, 31, 32, 33, 40, 43, 44, 45,
@@ -475,7 +477,7 @@ def test_object_comes_from_a_text_or_a_file_and_goes(standard, tmp_path):
         (tmp_path / name).write_text(text)
     for number, (source, expected) in enumerate((
             ({'text': BALL}, 'ball'), ({'text': MJCF}, 'can'),
-            ({'text': '{shape: sphere, size: 0.1, mass: 0.2}'}, 'object'),
+            ({'text': BALL.replace('name: ball, ', ''), 'allow_renaming': True}, 'object'),
             ({'uri': tmp_path / 'can.xml', 'name': 'tin'}, 'tin'),
             ({'uri': f'file://{tmp_path}/ball.yaml', 'name': 'globe'}, 'globe')), start=1):
         response = standard.spawn(**source, height=float(number))
@@ -499,14 +501,20 @@ def test_name_that_is_taken_gets_a_number_if_it_may_be_changed(standard):
 @pytest.mark.parametrize(('request_', 'code', 'text'), [
     ({'text': BALL, 'namespace': 'left'}, 'NAMESPACE_INVALID', 'has no namespace'),
     ({'text': BALL, 'name': 'red ball'}, 'NAME_INVALID', "'red ball'"),
+    ({'text': BALL.replace('name: ball, ', '')}, 'NAME_INVALID', 'it has no name'),
     ({'text': ' '}, 'NO_RESOURCE', 'give a file (uri) or a text'),
     ({'text': '<mujoco>'}, 'RESOURCE_PARSE_ERROR', ''),
     ({'text': '{shape: sfere}'}, 'RESOURCE_PARSE_ERROR', 'sphere'),
     ({'text': BALL, 'w': 0.0}, 'INVALID_POSE', ''),
     ({'uri': 'https://example.com/can.xml'}, 'UNSUPPORTED_FORMAT', 'only paths and file://'),
     ({'uri': '/tmp/can.sdf'}, 'UNSUPPORTED_FORMAT', 'only MJCF (.xml, .mjcf), URDF and YAML'),
-    ({'uri': 'nowhere/can.xml'}, 'RESOURCE_PARSE_ERROR', '/nowhere/can.xml')])
-def test_object_that_cannot_come_is_rejected(standard, request_, code, text):
+    ({'uri': 'nowhere/can.xml'}, 'RESOURCE_PARSE_ERROR', '/nowhere/can.xml'),
+    ({'text': OF_MESH.format('nowhere.obj')}, 'MISSING_ASSETS', 'nowhere.obj'),
+    ({'text': OF_MESH.format('can.dae'), 'uri': 'can.xml'}, 'UNSUPPORTED_ASSETS', '.dae')])
+def test_object_that_cannot_come_is_rejected(standard, tmp_path, request_, code, text):
+    if 'uri' in request_ and 'text' in request_:
+        (tmp_path / 'can.dae').touch()
+        (tmp_path / request_['uri']).write_text(request_['text'])
     result = standard.spawn(**request_).result
     assert result.result == SpawnCode[code] and text in result.error_message
     assert result.error_message and standard.entities().entities == ['robot0_base', 'cube']
@@ -528,7 +536,7 @@ def test_a_file_that_may_not_be_read_never_reaches_the_archive(standard, request
     request_ = {key: text.replace('SECRET', private.name if '..' in text else str(private))
                 for key, text in {'text': '', **request_}.items()}
     result = standard.spawn(**request_).result
-    assert result.result == SpawnCode.RESOURCE_PARSE_ERROR
+    assert result.result in (SpawnCode.RESOURCE_PARSE_ERROR, SpawnCode.MISSING_ASSETS)
     assert 'must not' in result.error_message and '\n' not in result.error_message
     assert standard.entities().entities == ['robot0_base', 'cube']
 
