@@ -283,12 +283,15 @@ def outcome(client, handle):
 def test_the_action_makes_steps_with_feedback_after_each(sim_process, client, action):
     sim_process('start_paused:=true')
     clocks = client.listen(Clock, '/clock')
-    handle, seen = action(5)
+    # An ActionClient drops feedback that comes after the result.
+    messages = client.listen(SimulateSteps.Impl.FeedbackMessage,
+                             'manip_sim/simulate_steps/_action/feedback')
+    handle, _ = action(5)
     status, result = outcome(client, handle)
     assert (status, result.result, result.error_message) == (
         GoalStatus.STATUS_SUCCEEDED, OK, '')
-    client.spin_until(lambda: len(seen) == 5)
-    assert [(f.completed_steps, f.remaining_steps) for f in seen] == [
+    client.spin_until(lambda: len(messages) == 5)
+    assert [(m.feedback.completed_steps, m.feedback.remaining_steps) for m in messages] == [
         (n, 5 - n) for n in range(1, 6)]
     client.spin_until(lambda: nanoseconds(clocks[-1].clock) == FIRST_NS + 50_000_000)
     assert get_state(client) == PAUSED
