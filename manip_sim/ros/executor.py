@@ -22,6 +22,7 @@ from rclpy.executors import (
     await_or_execute, ConditionReachedException, ExternalShutdownException, InvalidHandle,
     ShutdownException, SingleThreadedExecutor, TimeoutException)
 from rclpy.node import Node
+import rclpy.task
 
 from manip_sim.errors import ManipSimError
 from manip_sim.quoting import one_line
@@ -164,23 +165,18 @@ async def in_background(node: Node, work: Callable[[], T]) -> T:
     :param node: its executor runs the callback
     :param work: is called in a thread of its own
     """
+    # A future of rclpy, as a coroutine that yields anything else is gone on with at once in the
+    # rclpy of Lyrical, again and again.
+    known = rclpy.task.Future(executor=node.executor)
+
     def wake() -> None:
-        if node.executor is not None:
-            with contextlib.suppress(InvalidHandle):  # The executor has ended.
+        with contextlib.suppress(InvalidHandle):  # The executor has ended.
+            known.set_result(None)
+            if node.executor is not None:
                 node.executor.wake()
-    return await _Outcome(begin(work, wake))
-
-
-class _Outcome:
-    """An awaitable that lets the executor run other callbacks until some work is done."""
-
-    def __init__(self, outcome: Future[Any]) -> None:
-        self._outcome = outcome
-
-    def __await__(self) -> Generator[None, None, Any]:
-        while not self._outcome.done():
-            yield
-        return self._outcome.result()
+    outcome = begin(work, wake)
+    await known
+    return outcome.result()
 
 
 class Rounds:
