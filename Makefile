@@ -50,7 +50,6 @@ WHEELS ?= jazzy
 ROS_KINDS = wheels kilted sourced
 ifneq ($(filter $(ROS_DISTRO),jazzy kilted lyrical),)
 ROS_FROM = sourced
-LAST_PYTHON = 14
 VENV_ARGS = --system-site-packages
 RUN_EXTRAS = viewer
 TEST_EXTRAS = docs,mutate,test
@@ -59,8 +58,6 @@ ifeq ($(filter $(WHEELS),jazzy kilted),)
 $(error make: WHEELS is jazzy or kilted, got '$(WHEELS)')
 endif
 ROS_FROM = $(if $(filter jazzy,$(WHEELS)),wheels,$(WHEELS))
-# There are no wheels of ROS for a newer one.
-LAST_PYTHON = 13
 VENV_ARGS =
 RUN_EXTRAS = $(WHEELS),viewer
 TEST_EXTRAS = docs,$(WHEELS)-test,mutate,test
@@ -157,8 +154,8 @@ soak: $(TEST_READY)
 	$(BIN)/python test/soak/soak.py $(SOAK_ARGS)
 
 $(READY): setup.py
-	@$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info[:2] <= (3, $(LAST_PYTHON)), sys.version' \
-		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.$(LAST_PYTHON)' >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; assert (3, 10) <= sys.version_info[:2] <= (3, 14), sys.version' \
+		|| { echo 'make: set PYTHON to a Python from 3.10 to 3.14' >&2; exit 1; }
 	@$(PYTHON) -m venv $(if $(wildcard $(ROS_NOT_FROM:%=$(VENV)/.ready-%)),--clear) $(VENV_ARGS) $(VENV)
 	@$(PREPARE)
 	$(call install,the package and what it runs with,$(RUN_PACKAGES))
