@@ -293,7 +293,8 @@ class Reflexes:
 
         :param quantity: a field of :class:`ReflexLimits`
         :param limit: 0 for none; of collisions see ``read_thresholds``
-        :raises CommandError: if the limit is not a positive finite number, or no such thresholds
+        :raises CommandError: if the limit is not a positive finite number, or no such thresholds,
+            or no part has a tool whose wrench could exceed it
         :raises UnknownNameError: if the quantity is unknown
         """
         known = [field.name for field in fields(ReflexLimits)]
@@ -304,6 +305,9 @@ class Reflexes:
             limit = self._set_thresholds(names, limit)
         else:
             limit = positive_number(limit, 'a limit', CommandError, or_zero=True)
+        if limit and quantity in ('force', 'torque') and not any(
+                (name,) in self._readers for name in names):
+            raise CommandError(f'{part} has no tool on which the world could exert a {quantity}')
         for name in names:
             self._limits[name] = replace(self._limits[name], **{quantity: limit})
         self.armed = tuple(name for name, limits in self._limits.items() if limits.any)

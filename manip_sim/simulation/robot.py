@@ -538,7 +538,8 @@ class SimulatedRobot:
             and acceleration, or ``collision``, of the torques that the world exerts at joints
         :param limit: 0 for none; of collisions ``none``, ``default`` (a quarter of the effort
             limits), or a threshold for all joints or one for each [N m or N]
-        :raises CommandError: if the part is a gripper, or the limit negative or not finite
+        :raises CommandError: if the part is a gripper, the limit negative or not finite, or the
+            wrench on a tool shall stop a part that has none
         :raises UnknownNameError: if the part or quantity is unknown
         """
         self._check_no_gripper(part)

@@ -106,6 +106,30 @@ def test_without_limits_nothing_is_stopped_and_unknown_ones_are_told(panda_sim, 
         robot.set_reflex('right/gripper', 'force', 1.0)
 
 
+@pytest.mark.parametrize('quantity', ['force', 'torque'])
+def test_a_wrench_stops_no_part_without_a_tool(quantity):
+    simulation = Simulation(compose('GR1'))
+    digest = simulation.digest()
+    for part in ('head', 'torso', 'legs'):
+        with pytest.raises(CommandError, match=f'{part} has no tool .* exert a {quantity}'):
+            simulation.robot.set_reflex(part, quantity, 1.0)
+    assert simulation.digest() == digest
+    simulation.robot.set_reflex('arm', quantity, 1.0)  # Of both arms, by their name.
+    assert all(getattr(simulation.robot.reflexes.limits[arm], quantity) == 1.0
+               for arm in ('right', 'left'))
+
+
+def test_the_wrench_on_the_only_tool_of_two_arms_stops_the_arm_that_has_it(run):
+    simulation = Simulation(compose('Baxter', gripper={'right': 'PandaGripper', 'left': 'none'}))
+    robot = simulation.robot
+    robot.set_reflex('arm', 'force', 3.0)
+    with pytest.raises(CommandError, match='left has no tool'):
+        robot.set_reflex('left', 'force', 3.0)
+    simulation.data.body('gripper0_right_right_gripper').xfrc_applied[1] = 8.0
+    run(simulation, 0.2)
+    assert list(robot.reflexes.tripped) == ['right']
+
+
 def stream(simulation, positions):
     """Command positions of a joint, one each control period; return the handles."""
     handles = []
