@@ -8,8 +8,8 @@ Figures are ratios to a bare baseline in the same run, or what another process s
 Each is the median of several rounds, in which the compared programs take turns (A B A B); that of
 memory is the median of the last samples of one run. All processes
 stay on two cores of this machine, in a ROS domain that nobody else uses. The column "plain loop"
-is a loop of rclpy and MuJoCo without this package. What is measured:
-docs/explanation/performance.md.
+is a loop of rclpy and MuJoCo without this package, "C++ loop" the same in C++, a yardstick where
+CMake finds rclcpp. What is measured: docs/explanation/performance.md.
 
 Writes bench.json, each figure when it is measured, and, where matplotlib is installed, pictures.
 A row that fails leaves the others. The exit code is 0 if no
@@ -37,6 +37,7 @@ _HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(_HERE))
 
 import mujoco  # noqa: E402
+from targets.cpp_loop import build  # noqa: E402
 from targets.figures import Figure, MeasureError, Settings, table  # noqa: E402
 from targets.pictures import draw  # noqa: E402
 
@@ -188,6 +189,8 @@ def report(results: Results) -> None:
     if about['of_others'] > _OF_OTHERS:
         print(f'others used {100 * about["of_others"]:.0f} % of the cores meanwhile: '
               'measure again')
+    if any(figure.cpp is None for figure in results.figures):
+        print(build()[1])
     print(f'written: {results.path}')
     save(results.series, results.path.parent)
     missed = [figure for figure in results.figures if figure.missed]
@@ -220,6 +223,9 @@ def main() -> int:
     settings = Settings(about['rounds'], scale, arguments.hours, progress, arguments.smoke)
     results = Results(folder / 'bench.json', about, settings.series)
     try:
+        if any(ROWS[name][2] for name in arguments.only):
+            progress('C++ loop, its build')
+            build()
         results.measure(arguments.only, settings)
     finally:  # Also of a run that is interrupted.
         about['seconds'] = round(time.time() - begin, 1)

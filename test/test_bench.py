@@ -94,15 +94,15 @@ def test_the_table_has_a_line_of_equal_length_for_each_figure(bench):
     figures, _ = bench
     lines = figures.table([
         figures.Figure('free', 'of bare', [0.7, 0.9, 0.81], '', figures.Target('>=', 0.8),
-                       plain=[0.25]),
+                       plain=[0.25], cpp=[0.5, 0.7]),
         figures.Figure('effect', 'soon', [3.26, 3.0, 4.0], 'periods', figures.Target('<=', 3.0),
-                       more_is_better=False)]).splitlines()
+                       more_is_better=False, cpp=None)]).splitlines()
     assert len({len(line) for line in lines}) == 1
     cells = [re.split(r' *\| *', line)[1:-1] for line in lines]
     assert cells[0] == list(figures.COLUMNS)
-    assert cells[2] == ['of bare', '>= 0.8', '0.81', '0.70 to 0.90', '0.25, ahead', 'ok']
+    assert cells[2] == ['of bare', '>= 0.8', '0.81', '0.70 to 0.90', '0.25, ahead', '0.60', 'ok']
     assert cells[3] == ['soon', '<= 3 periods', '3.26 periods', '3.00 to 4.00', '-',
-                        '**misses**']
+                        '- (no rclcpp)', '**misses**']
 
 
 @pytest.mark.full
@@ -180,6 +180,42 @@ def test_every_row_runs(bench, tmp_path):
     written = json.loads((tmp_path / 'bench.json').read_text())
     assert written['missing'] == {}, done.stderr
     assert [figure['row'] for figure in written['figures']] == list(entrance.ROWS)
+
+
+def test_the_loop_in_cpp_has_the_topics_of_the_plain_loop():
+    plain, cpp = ((ROOT / 'benchmark' / path).read_text()
+                  for path in ('targets/plain_loop.py', 'cpp_loop/main.cpp'))
+    theirs = re.findall(r"create_(\w+)\((\w+), '([\w/]+)'", plain)
+    assert len(theirs) == 3
+    assert re.findall(r'create_(\w+)<(\w+)>\(\s*"([\w/]+)"', cpp) == theirs
+
+
+def test_without_rclcpp_the_remedy_for_the_loop_in_cpp_is_said():
+    done = subprocess.run(
+        [sys.executable, '-c', 'from targets.cpp_loop import build; print(*build())'],
+        cwd=ROOT / 'benchmark', env={'PATH': '/usr/bin:/bin'}, capture_output=True, text=True,
+        timeout=60)
+    assert done.stdout.startswith('None C++ loop: '), done.stderr
+    assert 'is not found; install CMake and a ROS 2 with rclcpp' in done.stdout
+
+
+@pytest.mark.full
+def test_the_loop_in_cpp_publishes_in_real_time_and_obeys_a_controller(bench, tmp_path):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    from targets import answers, cpp_loop, physics, processes
+    program, why = cpp_loop.build()
+    if 'is not found' in why:
+        pytest.skip(why)
+    assert program is not None, why
+    model = physics.Bare(physics.panda(answers.PERIOD_S, 'effort')).save(tmp_path)
+    command = processes.loops(model, '1', '1')[1]
+    with processes.Process(command, apart=True) as loop, \
+            processes.start_script('commander.py', 'effect', answers.JOINT, apart=True) as client:
+        client.line()
+        delays = client.ask('effect 20')
+        loop.check()
+    assert len(delays) == 20
+    assert max(delays) < 1.0
 
 
 def test_only_to_see_that_rows_run_processes_are_not_waited_for_to_be_fast(bench):

@@ -26,7 +26,7 @@ def test_every_python_file_begins_with_the_licence():
 
 
 def test_every_cpp_file_begins_with_the_licence():
-    files = [*(ROOT / 'hardware').rglob('*.cpp')]
+    files = [*(ROOT / 'hardware').rglob('*.cpp'), *(ROOT / 'benchmark').rglob('*.cpp')]
     assert files
     assert not [str(file) for file in files
                 if not file.read_text().startswith(HEADER.replace('#', '//'))]

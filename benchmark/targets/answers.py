@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import contextlib
 from pathlib import Path
 import tempfile
 
 import numpy as np
 from targets.figures import Figure, Settings, Target
 from targets.physics import Bare, panda
-from targets.processes import Process, start_node, start_script
+from targets.processes import Process, loops, start_node, start_script, yardsticks
 
 PERIOD_S = 0.001
 JOINT = 'robot0_joint7'
@@ -30,20 +31,22 @@ def measure_effect(settings: Settings) -> Iterator[Figure]:
     count = round(_COMMANDS * settings.scale)
     with tempfile.TemporaryDirectory() as folder:
         model = Bare(panda(PERIOD_S, 'effort')).save(Path(folder))
-        with start_node(*NODE) as node, start_script('commander.py', 'effect', JOINT) as ours, \
-                start_script('plain_loop.py', model, '1', '1', piped=False, apart=True) as loop, \
-                start_script('commander.py', 'effect', JOINT, apart=True) as theirs:
-            pairs = ((node, ours), (loop, theirs))
-            for pair in pairs:
-                pair[1].line()
-                _halt(pair)
+        with contextlib.ExitStack() as stack:
+            pairs = []
+            for loop in (None, *loops(model, '1', '1')):
+                server = start_node(*NODE) if loop is None else Process(loop, apart=True)
+                pairs.append((stack.enter_context(server), stack.enter_context(
+                    start_script('commander.py', 'effect', JOINT, apart=loop is not None))))
+                pairs[-1][1].line()
+                _halt(pairs[-1])
             delays = [[_effect(pair, count) for pair in pairs] for _ in range(settings.rounds)]
     for quantile, target in QUANTILES:
-        values = [[float(np.percentile(d, quantile)) / PERIOD_S for d in both] for both in delays]
+        ours, *theirs = ([float(np.percentile(d, quantile)) / PERIOD_S for d in one]
+                         for one in zip(*delays))
         name = 'median' if quantile == 50 else f'{quantile}th percentile'
         yield Figure('effect', f'command-to-effect latency at 1000 Hz, {name}',
-                     [v[0] for v in values], 'periods', Target('<=', target),
-                     plain=[v[1] for v in values], more_is_better=False)
+                     ours, 'periods', Target('<=', target), more_is_better=False,
+                     **yardsticks(theirs))
 
 
 def _halt(pair: tuple[Process, Process]) -> None:

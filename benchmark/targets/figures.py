@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import statistics
 from typing import Any
 
-COLUMNS = ('what', 'target', 'figure', 'spread', 'plain loop', 'verdict')
+COLUMNS = ('what', 'target', 'figure', 'spread', 'plain loop', 'C++ loop', 'verdict')
 #: Two figures that differ by less are level.
 _LEVEL = 0.02
 
@@ -73,6 +73,7 @@ class Figure:
     :ivar target: None if there is none
     :ivar digits: after the decimal point
     :ivar plain: the same of the plain loop of rclpy and MuJoCo
+    :ivar cpp: the same of that loop in C++, which is no target; None where it is not built
     :ivar more_is_better: for the comparison with the plain loop
     """
 
@@ -83,6 +84,7 @@ class Figure:
     target: Target | None = None
     digits: int = 2
     plain: Sequence[float] = ()
+    cpp: Sequence[float] | None = ()
     more_is_better: bool = True
 
     @property
@@ -116,11 +118,13 @@ class Figure:
             return f'{value:.{self.digits}f}'
         unit = f' {self.unit}' if self.unit else ''
         target = '-' if self.target is None else f'{self.target.sign} {self.target.value:g}{unit}'
-        plain = '-'
+        plain, cpp = '-', '-' if self.cpp is not None else '- (no rclcpp)'
         if self.plain:
             plain = f'{shown(statistics.median(self.plain))}{unit}, {self.against_plain}'
+        if self.cpp:
+            cpp = f'{shown(statistics.median(self.cpp))}{unit}'
         return (self.what, target, f'{shown(self.median)}{unit}',
-                f'{shown(min(self.rounds))} to {shown(max(self.rounds))}', plain,
+                f'{shown(min(self.rounds))} to {shown(max(self.rounds))}', plain, cpp,
                 {None: '-', True: 'ok', False: '**misses**'}[self.ok])
 
     def as_json(self) -> dict[str, Any]:
@@ -129,6 +133,7 @@ class Figure:
         return {'row': self.row, 'what': self.what, 'unit': self.unit, 'target': target,
                 'figure': self.median, 'spread': [min(self.rounds), max(self.rounds)],
                 'rounds': list(self.rounds), 'ok': self.ok, 'plain_loop': list(self.plain),
+                'cpp_loop': list(self.cpp or ()),
                 'against_plain_loop': self.against_plain}
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import contextlib
 from pathlib import Path
 import statistics
@@ -13,6 +13,7 @@ import tempfile
 
 from targets.figures import Figure, Settings, Target
 from targets.physics import Bare, panda
+from targets.processes import loops, yardsticks
 from targets.watched import ONE_CLIENT, Watched, watched_loop, watched_node
 
 TIMESTEP_S = 0.001
@@ -28,9 +29,9 @@ _OURS_S, _BARE_S = 1.8, 0.8
 
 class FreeRun:
     """
-    Ratios of the node, and of the plain loop, to bare physics, round by round.
+    Ratios of the node, and of the loops, to bare physics, round by round.
 
-    :param folder: for the model of the plain loop
+    :param folder: for the model of the loops
     :param settings: how often and how long
     """
 
@@ -39,29 +40,32 @@ class FreeRun:
         self._model = self._bare.save(folder)
         self._settings = settings
 
-    def ratios(self, topics: tuple[str, ...], every: int, rounds: int, plain: bool
-               ) -> tuple[list[float], list[float]]:
-        """Return the ratios of the node and of the plain loop."""
-        scale, waits, ours, theirs = self._settings.scale, self._settings.wait_scale, [], []
+    def ratios(self, topics: tuple[str, ...], every: int, rounds: int,
+               beside: Sequence[Sequence[str]]) -> list[list[float]]:
+        """Return the ratios of the node and of each loop."""
+        scale, waits = self._settings.scale, self._settings.wait_scale
         with contextlib.ExitStack() as stack:
-            node = stack.enter_context(watched_node(
+            watched = [stack.enter_context(watched_node(
                 topics, waits, 'stepping:=free', f'timestep:={TIMESTEP_S}',
-                f'publish_rate:={1.0 / (TIMESTEP_S * every)}'))
-            loop = stack.enter_context(watched_loop(
-                topics, waits, self._model, every, False)) if plain else None
+                f'publish_rate:={1.0 / (TIMESTEP_S * every)}'))]
+            for command in beside:
+                watched.append(stack.enter_context(watched_loop(topics, waits, command)))
+            found: list[list[float]] = [[] for _ in watched]
             for _ in range(rounds):
-                fast = _steps_per_s(node, _OURS_S * scale)
                 bare = self._bare.steps_per_s(_BARE_S * scale, every)
-                ours.append(fast / bare)
-                if loop is not None:
-                    theirs.append(_steps_per_s(loop, _OURS_S * scale) / bare)
-        return ours, theirs
+                for ratios, one in zip(found, watched):
+                    ratios.append(_steps_per_s(one, _OURS_S * scale) / bare)
+        return found
+
+    def loops(self, every: int, *words: str) -> list[list[str]]:
+        """Return the commands of the loops."""
+        return loops(self._model, str(every), '0', *words)
 
     def bound(self, every: int, rounds: int) -> list[float]:
         """Return the ratios of physics and publication alone, in one thread, for one client."""
         scale, ratios = self._settings.scale, []
-        with watched_loop(ONE_CLIENT, self._settings.wait_scale, self._model, every, False,
-                          prepared=True) as loop:
+        with watched_loop(ONE_CLIENT, self._settings.wait_scale,
+                          self.loops(every, 'prepared')[0]) as loop:
             for _ in range(rounds):
                 fast = _steps_per_s(loop, _OURS_S * scale)
                 ratios.append(fast / self._bare.steps_per_s(_BARE_S * scale, every))
@@ -80,9 +84,11 @@ def measure(settings: Settings) -> Iterator[Figure]:
         for who, topics, targets in SITUATIONS:
             for (every, words), target in zip(EVERY, targets):
                 settings.report(f'free, {who}, {words}')
-                ours, theirs = run.ratios(topics, every, settings.rounds, topics != ('all',))
+                beside = [] if topics == ('all',) else run.loops(every)
+                ours, *theirs = run.ratios(topics, every, settings.rounds, beside)
                 yield Figure('free', f'`free`, {who}, {words}, of bare `mj_step`', ours,
-                             target=Target('>=', target), plain=theirs)
+                             target=Target('>=', target),
+                             **(yardsticks(theirs) if theirs else {}))
                 if topics == ONE_CLIENT:
                     yield Figure('free', f'physics and prepared messages alone, {who}, {words}',
                                  run.bound(every, settings.rounds))
@@ -97,7 +103,7 @@ def measure_rates(settings: Settings) -> Iterator[Figure]:
         run = FreeRun(Path(folder), settings)
         for every in STEPS:
             settings.report(f'rates, a state every {every} steps')
-            ours, theirs = run.ratios(ONE_CLIENT, every, rounds, True)
+            ours, theirs = run.ratios(ONE_CLIENT, every, rounds, run.loops(every)[:1])
             for name, value in (('steps', every), ('node', statistics.median(ours)),
                                 ('plain loop', statistics.median(theirs))):
                 series[name].append(value)

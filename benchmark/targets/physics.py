@@ -15,6 +15,9 @@ import numpy as np
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 
+#: What MuJoCo needs to go on from an instant.
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
 
 def panda(timestep_s: float = 0.001, mode: str = 'position') -> Simulation:
     """Return the world that the rows with the node use, as the node builds it."""
@@ -39,11 +42,12 @@ class Bare:
         mujoco.mj_forward(self.model, self.data)
 
     def save(self, folder: Path) -> str:
-        """Write model and state for the plain loop; return the path of the model."""
+        """Write model and state for the loops; return the path of the model."""
         path = folder / 'model.mjb'
         mujoco.mj_saveModel(self.model, str(path), None)
-        np.savez(path.with_suffix('.npz'), qpos=self.data.qpos, ctrl=self.data.ctrl,
-                 act=self.data.act)
+        state = np.zeros(mujoco.mj_stateSize(self.model, STATE))
+        mujoco.mj_getState(self.model, self.data, state, STATE)
+        state.tofile(path.with_suffix('.state'))
         return str(path)
 
     def steps_per_s(self, duration_s: float, steps: int,

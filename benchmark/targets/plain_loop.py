@@ -6,7 +6,7 @@ A plain loop of rclpy and MuJoCo, as written in an afternoon: the baseline for t
 
 usage: python3 plain_loop.py MODEL EVERY REALTIME [prepared]
 
-MODEL is an XML file, or an MJB file with the start beside it as NPZ; a state is published after
+MODEL is an XML file, or an MJB file with the start beside it; a state is published after
 EVERY steps, as fast as possible or, if REALTIME is 1, in real time. The loop runs in the main
 thread and the executor in another; it keeps absolute deadlines, and copies nothing it need not.
 
@@ -40,8 +40,8 @@ class PlainLoop(Node):
         self.model = (load.from_xml_path if path.endswith('.xml') else load.from_binary_path)(path)
         self.data = mujoco.MjData(self.model)
         if path.endswith('.mjb'):
-            for field, values in np.load(path.replace('.mjb', '.npz')).items():
-                getattr(self.data, field)[:] = values
+            mujoco.mj_setState(self.model, self.data, np.fromfile(path.replace('.mjb', '.state')),
+                               mujoco.mjtState.mjSTATE_INTEGRATION)
         self.every, self.realtime = every, realtime
         model, joints = self.model, range(self.model.njnt)
         self.names = [model.joint(j).name for j in joints]

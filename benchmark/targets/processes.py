@@ -19,6 +19,7 @@ import time
 from types import TracebackType
 from typing import Any
 
+from targets.cpp_loop import build
 from targets.figures import MeasureError
 
 _TICK_S = 1.0 / os.sysconf('SC_CLK_TCK')
@@ -179,6 +180,18 @@ def start_node(*parameters: str) -> Process:
 def start_script(name: str, *arguments: str, piped: bool = True, apart: bool = False) -> Process:
     """Start a script beside this module."""
     return Process([sys.executable, str(_HERE / name), *arguments], piped, apart)
+
+
+def loops(*arguments: str) -> list[list[str]]:
+    """Return the commands of the plain loop and, where it is built, of that in C++."""
+    plain = [sys.executable, str(_HERE / 'plain_loop.py'), *arguments]
+    cpp, _ = build()
+    return [plain] if cpp is None else [plain, [str(cpp), *arguments]]
+
+
+def yardsticks(measured: Sequence[Sequence[float]]) -> dict[str, Any]:
+    """Return the keywords of a figure for what was measured with each of :func:`loops`."""
+    return {'plain': measured[0], 'cpp': measured[1] if len(measured) > 1 else None}
 
 
 @cache

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+import contextlib
 from pathlib import Path
 import tempfile
 
@@ -13,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from targets.figures import Figure, Settings, Target
 from targets.physics import Bare, panda
+from targets.processes import loops, memory_mb, yardsticks
 from targets.watched import Watched, watched_loop, watched_node, Window
 
 #: Rate [Hz], timestep [s], total length of the windows [s], largest share of a core [%].
 RUNS = ((1000, 0.001, 60.0, 35.0), (500, 0.002, 15.0, 15.0), (100, 0.002, 15.0, 5.0))
-#: Length of the windows of the plain loop, as a fraction of those of the node, and the least [s].
+#: Length of the windows of the loops, as a fraction of those of the node, and the least [s].
 _PLAIN, _PLAIN_S = 0.25, 2.0
 _TOPIC = ('joint_states',)
 
@@ -31,25 +33,30 @@ def measure(settings: Settings) -> Iterator[Figure]:
             length_s = whole_s * settings.scale / settings.rounds
             settings.report(f'realtime, {rate} Hz')
             waits = settings.wait_scale
-            with (watched_node(_TOPIC, waits, f'timestep:={timestep_s}',
-                               f'publish_rate:={rate}.0') as node,
-                  watched_loop(_TOPIC, waits, model, every, True) as loop):
-                ours, theirs = _alternate(
-                    node, loop, length_s, max(_PLAIN_S * waits, _PLAIN * length_s),
-                    settings.rounds)
+            with contextlib.ExitStack() as stack:
+                watched = [stack.enter_context(watched_node(
+                    _TOPIC, waits, f'timestep:={timestep_s}', f'publish_rate:={rate}.0'))]
+                for command in loops(model, str(every), '1'):
+                    watched.append(stack.enter_context(watched_loop(_TOPIC, waits, command)))
+                ours, *theirs = _alternate(watched, length_s, max(
+                    _PLAIN_S * waits, _PLAIN * length_s), settings.rounds)
+                memory = [[memory_mb(one.server.pid)] for one in watched]
             if rate == RUNS[0][0]:
                 settings.series['periods'] = {
-                    'rate': rate, 'node': _histogram(ours), 'plain loop': _histogram(theirs)}
+                    'rate': rate, 'node': _histogram(ours), 'plain loop': _histogram(theirs[0])}
             yield from _figures(rate, most, ours, theirs)
+            if rate == RUNS[0][0]:
+                yield Figure('realtime', f'`realtime`, {rate} Hz: resident memory', memory[0],
+                             'MB', digits=0, more_is_better=False, **yardsticks(memory[1:]))
 
 
-def _alternate(node: Watched, loop: Watched, length_s: float, plain_s: float, rounds: int
-               ) -> tuple[list[Window], list[Window]]:
-    ours, theirs = [], []
+def _alternate(watched: Sequence[Watched], length_s: float, plain_s: float, rounds: int
+               ) -> list[list[Window]]:
+    windows: list[list[Window]] = [[] for _ in watched]
     for _ in range(rounds):
-        ours.append(node.watch(length_s, walls=True))
-        theirs.append(loop.watch(plain_s, walls=True))
-    return ours, theirs
+        for number, one in enumerate(watched):
+            windows[number].append(one.watch(plain_s if number else length_s, walls=True))
+    return windows
 
 
 def _periods_ms(window: Window) -> NDArray[np.float64]:
@@ -63,8 +70,8 @@ def _histogram(windows: Sequence[Window]) -> dict[str, list[float]]:
     return {'edges_ms': np.round(edges, 3).tolist(), 'part': (counts / len(periods)).tolist()}
 
 
-def _figures(rate: int, most: float, ours: Sequence[Window], theirs: Sequence[Window]
-             ) -> Iterator[Figure]:
+def _figures(rate: int, most: float, ours: Sequence[Window],
+             theirs: Sequence[Sequence[Window]]) -> Iterator[Figure]:
     what = f'`realtime`, {rate} Hz'
     p99 = Target('<=', 1.3) if rate == RUNS[0][0] else None
     for words, unit, target, digits, value in (
@@ -72,8 +79,8 @@ def _figures(rate: int, most: float, ours: Sequence[Window], theirs: Sequence[Wi
             ('99 % of the periods below', 'ms', p99, 2, _p99_ms),
             ('of a core', '%', Target('<=', most), 1, _core)):
         yield Figure('realtime', f'{what}: {words}', [value(window) for window in ours], unit,
-                     target, digits, plain=[value(window) for window in theirs],
-                     more_is_better=value is _factor)
+                     target, digits, more_is_better=value is _factor, **yardsticks(
+                         [[value(window) for window in windows] for windows in theirs]))
 
 
 def _factor(window: Window) -> float:

@@ -10,7 +10,7 @@ without any, as then: the node compiles them first, and says so.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import contextlib
 import os
 from pathlib import Path
@@ -22,7 +22,7 @@ import time
 
 from manip_sim.models import compose
 from targets.figures import Figure, Settings, Target
-from targets.processes import Process, start_node, start_script
+from targets.processes import Process, loops, start_node, start_script, yardsticks
 
 TARGET = 1.3
 #: Time that a new listener gets for its own start and DDS discovery [s].
@@ -38,21 +38,22 @@ def measure(settings: Settings) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         model = Path(folder, 'model.xml')
         model.write_text(compose('Panda').to_xml())
-        rounds = []
+        beside, rounds = loops(str(model), '5', '1'), []
         # The first round reads from the disk.
         before = 0 if settings.smoke else 1
         for n in range(before + settings.rounds):
             settings.report(f'start, {n} of {settings.rounds}')
-            rounds.append((_bare_s(model), _first_state_s(), _first_state_s(model)))
+            rounds.append((_bare_s(model), *map(_first_state_s, [None, *beside])))
     rounds = rounds[before:]
     settings.report('start [s]: ' + '; '.join(
         f'{what} {[round(times[n], 2) for times in rounds]}'
-        for n, what in enumerate(('bare', 'node', 'plain loop'))))
-    yield Figure('start', 'start to first `joint_states`, over imports and compiling',
-                 [node / bare for bare, node, _ in rounds], target=Target('<=', TARGET),
-                 plain=[plain / bare for bare, _, plain in rounds], more_is_better=False)
+        for n, what in enumerate(('bare', 'node', 'plain loop', 'C++ loop')[:len(rounds[0])])))
+    ours, *theirs = ([later / times[0] for times, later in zip(rounds, column)]
+                     for column in list(zip(*rounds))[1:])
+    yield Figure('start', 'start to first `joint_states`, over imports and compiling', ours,
+                 target=Target('<=', TARGET), more_is_better=False, **yardsticks(theirs))
     settings.report('start, cold cache')
-    yield from _cold(statistics.median(bare for bare, _, _ in rounds))
+    yield from _cold(statistics.median(bare for bare, *_ in rounds))
 
 
 def _cold(bare_s: float) -> Iterator[Figure]:
@@ -91,15 +92,14 @@ def _bare_s(model: Path) -> float:
         return time.monotonic() - begin
 
 
-def _first_state_s(model: Path | None = None, limit_s: float = 30.0) -> float:
-    """Start the node, or the plain loop with a model; the first state comes in a time."""
-    apart = model is not None
+def _first_state_s(loop: Sequence[str] | None = None, limit_s: float = 30.0) -> float:
+    """Start the node, or one of the loops; the first state comes in a time."""
+    apart = loop is not None
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(
             start_script('listener.py', 'joint_states', apart=apart))
         listener.ask('begin')
         time.sleep(_SETTLE_S)
         begin = time.monotonic()
-        stack.enter_context(start_node() if model is None else start_script(
-            'plain_loop.py', str(model), '5', '1', piped=False, apart=apart))
+        stack.enter_context(start_node() if loop is None else Process(loop, apart=True))
         return float(listener.ask('first', limit_s)) - begin

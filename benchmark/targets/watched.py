@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import contextlib
 from dataclasses import dataclass
 import time
@@ -99,9 +100,6 @@ def watched_node(topics: tuple[str, ...], scale: float, *parameters: str) -> Wat
     return Watched(start_node(*parameters), topics, scale)
 
 
-def watched_loop(topics: tuple[str, ...], scale: float, model: str, every: int, realtime: bool,
-                 prepared: bool = False) -> Watched:
-    """Start the plain loop with a model file, and a listener."""
-    loop = start_script('plain_loop.py', model, str(every), str(int(realtime)),
-                        *(['prepared'] if prepared else []), piped=False, apart=True)
-    return Watched(loop, topics, scale, apart=True)
+def watched_loop(topics: tuple[str, ...], scale: float, command: Sequence[str]) -> Watched:
+    """Start one of the loops, and a listener."""
+    return Watched(Process(command, apart=True), topics, scale, apart=True)
