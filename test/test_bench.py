@@ -209,13 +209,26 @@ def test_the_loop_in_cpp_publishes_in_real_time_and_obeys_a_controller(bench, tm
     assert program is not None, why
     model = physics.Bare(physics.panda(answers.PERIOD_S, 'effort')).save(tmp_path)
     command = processes.loops(model, '1', '1')[1]
-    with processes.Process(command, apart=True) as loop, \
-            processes.start_script('commander.py', 'effect', answers.JOINT, apart=True) as client:
+    with processes.Process(command, apart=1) as loop, \
+            processes.start_script('commander.py', 'effect', answers.JOINT, apart=1) as client:
         client.line()
         delays = client.ask('effect 20')
         loop.check()
     assert len(delays) == 20
     assert max(delays) < 1.0
+
+
+@pytest.mark.full
+def test_two_programs_in_one_domain_are_not_measured(bench, tmp_path):
+    pytest.importorskip('rclpy', reason='needs ROS 2')
+    figures, _ = bench
+    from targets import physics, processes, watched
+    model = physics.Bare(physics.panda()).save(tmp_path)
+    command = processes.loops(model, '10', '1')[0]
+    with processes.Process(command, apart=1), \
+            watched.watched_loop(watched.ONE_CLIENT, 0.1, command, 1) as loop, \
+            pytest.raises(figures.MeasureError, match='2 publishers of joint_states'):
+        loop.watch(1.0)
 
 
 def test_only_to_see_that_rows_run_processes_are_not_waited_for_to_be_fast(bench):

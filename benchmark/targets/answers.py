@@ -33,10 +33,10 @@ def measure_effect(settings: Settings) -> Iterator[Figure]:
         model = Bare(panda(PERIOD_S, 'effort')).save(Path(folder))
         with contextlib.ExitStack() as stack:
             pairs = []
-            for loop in (None, *loops(model, '1', '1')):
-                server = start_node(*NODE) if loop is None else Process(loop, apart=True)
+            for apart, loop in enumerate((None, *loops(model, '1', '1'))):
+                server = start_node(*NODE) if loop is None else Process(loop, apart=apart)
                 pairs.append((stack.enter_context(server), stack.enter_context(
-                    start_script('commander.py', 'effect', JOINT, apart=loop is not None))))
+                    start_script('commander.py', 'effect', JOINT, apart=apart))))
                 pairs[-1][1].line()
                 _halt(pairs[-1])
             delays = [[_effect(pair, count) for pair in pairs] for _ in range(settings.rounds)]
@@ -69,8 +69,8 @@ def measure_lockstep(settings: Settings) -> Iterator[Figure]:
     settings.report('lockstep, round trips')
     words = f'rounds {_ROUND_S * settings.scale}'
     with start_node('stepping:=lockstep', *NODE), start_script('commander.py', 'rounds') as ours, \
-            start_script('echo.py', piped=False, apart=True), \
-            start_script('commander.py', 'rounds', apart=True) as theirs:
+            start_script('echo.py', piped=False, apart=1), \
+            start_script('commander.py', 'rounds', apart=1) as theirs:
         ours.line()
         theirs.line()
         rates = [(ours.ask(words), theirs.ask(words)) for _ in range(settings.rounds + 1)][1:]

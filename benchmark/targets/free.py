@@ -48,8 +48,8 @@ class FreeRun:
             watched = [stack.enter_context(watched_node(
                 topics, waits, 'stepping:=free', f'timestep:={TIMESTEP_S}',
                 f'publish_rate:={1.0 / (TIMESTEP_S * every)}'))]
-            for command in beside:
-                watched.append(stack.enter_context(watched_loop(topics, waits, command)))
+            for apart, command in enumerate(beside, 1):
+                watched.append(stack.enter_context(watched_loop(topics, waits, command, apart)))
             found: list[list[float]] = [[] for _ in watched]
             for _ in range(rounds):
                 bare = self._bare.steps_per_s(_BARE_S * scale, every)

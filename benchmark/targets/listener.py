@@ -109,6 +109,8 @@ class Listener:
         if self.asleep:
             self._until(len(self.walls) + 1)
         self._until(2)
+        if (count := self.node.count_publishers(STATES)) > 1:
+            raise RuntimeError(f'{count} publishers of {STATES} in this domain')
         return [self.stamps[-1] - self.stamps[0], self.walls[-1] - self.walls[0]]
 
     def first(self) -> float:

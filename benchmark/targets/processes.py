@@ -71,16 +71,16 @@ class Process:
 
     :param command: what is run
     :param piped: talk with it through its standard input and output
-    :param apart: let it live in another ROS domain than this process
+    :param apart: let it live in this one of other ROS domains than that of this process
     """
 
-    def __init__(self, command: Sequence[str], piped: bool = False, apart: bool = False) -> None:
+    def __init__(self, command: Sequence[str], piped: bool = False, apart: int = 0) -> None:
         # A pipe that nobody reads would block the process.
         self._errors = tempfile.TemporaryFile('w+', errors='replace')  # noqa: SIM115
         self._popen = subprocess.Popen(
             command, stdin=subprocess.PIPE if piped else subprocess.DEVNULL,
             stdout=subprocess.PIPE if piped else self._errors, stderr=self._errors,
-            env={**os.environ, 'ROS_DOMAIN_ID': _other_domain()} if apart else None)
+            env={**os.environ, 'ROS_DOMAIN_ID': _other_domain(apart)} if apart else None)
         self._read = b''
 
     @property
@@ -177,13 +177,17 @@ def start_node(*parameters: str) -> Process:
     return Process([sys.executable, '-m', 'manip_sim', '--ros-args', *words])
 
 
-def start_script(name: str, *arguments: str, piped: bool = True, apart: bool = False) -> Process:
+def start_script(name: str, *arguments: str, piped: bool = True, apart: int = 0) -> Process:
     """Start a script beside this module."""
     return Process([sys.executable, str(_HERE / name), *arguments], piped, apart)
 
 
 def loops(*arguments: str) -> list[list[str]]:
-    """Return the commands of the plain loop and, where it is built, of that in C++."""
+    """
+    Return the commands of the plain loop and, where it is built, of that in C++.
+
+    As they have the same topics, each needs a domain of its own.
+    """
     plain = [sys.executable, str(_HERE / 'plain_loop.py'), *arguments]
     cpp, _ = build()
     return [plain] if cpp is None else [plain, [str(cpp), *arguments]]
@@ -195,9 +199,9 @@ def yardsticks(measured: Sequence[Sequence[float]]) -> dict[str, Any]:
 
 
 @cache
-def _other_domain() -> str:
+def _other_domain(number: int) -> str:
     """
-    Return the ROS domain of the programs that the node is compared with.
+    Return the ROS domain of one of the programs that the node is compared with.
 
     If a participant is stopped for a second while others in its domain write to it, Fast DDS
     abandons its shared-memory segment, and it receives nothing after it is resumed.

@@ -36,8 +36,9 @@ def measure(settings: Settings) -> Iterator[Figure]:
             with contextlib.ExitStack() as stack:
                 watched = [stack.enter_context(watched_node(
                     _TOPIC, waits, f'timestep:={timestep_s}', f'publish_rate:={rate}.0'))]
-                for command in loops(model, str(every), '1'):
-                    watched.append(stack.enter_context(watched_loop(_TOPIC, waits, command)))
+                for apart, command in enumerate(loops(model, str(every), '1'), 1):
+                    watched.append(stack.enter_context(
+                        watched_loop(_TOPIC, waits, command, apart)))
                 ours, *theirs = _alternate(watched, length_s, max(
                     _PLAIN_S * waits, _PLAIN * length_s), settings.rounds)
                 memory = [[memory_mb(one.server.pid)] for one in watched]

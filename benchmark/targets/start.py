@@ -94,12 +94,12 @@ def _bare_s(model: Path) -> float:
 
 def _first_state_s(loop: Sequence[str] | None = None, limit_s: float = 30.0) -> float:
     """Start the node, or one of the loops; the first state comes in a time."""
-    apart = loop is not None
+    apart = int(loop is not None)
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(
             start_script('listener.py', 'joint_states', apart=apart))
         listener.ask('begin')
         time.sleep(_SETTLE_S)
         begin = time.monotonic()
-        stack.enter_context(start_node() if loop is None else Process(loop, apart=True))
+        stack.enter_context(start_node() if loop is None else Process(loop, apart=1))
         return float(listener.ask('first', limit_s)) - begin

@@ -45,11 +45,11 @@ class Watched:
     :param server: publishes states
     :param topics: that are listened to
     :param scale: of the waits until they run as fast as they can
-    :param apart: let the listener live in the other ROS domain
+    :param apart: ROS domain of the listener, as for :class:`Process`
     """
 
     def __init__(self, server: Process, topics: tuple[str, ...], scale: float,
-                 apart: bool = False) -> None:
+                 apart: int = 0) -> None:
         self._recovery_s = _RECOVERY_S * scale
         self._stack = contextlib.ExitStack()
         self.server: Process = self._stack.enter_context(server)
@@ -100,6 +100,7 @@ def watched_node(topics: tuple[str, ...], scale: float, *parameters: str) -> Wat
     return Watched(start_node(*parameters), topics, scale)
 
 
-def watched_loop(topics: tuple[str, ...], scale: float, command: Sequence[str]) -> Watched:
-    """Start one of the loops, and a listener."""
-    return Watched(Process(command, apart=True), topics, scale, apart=True)
+def watched_loop(topics: tuple[str, ...], scale: float, command: Sequence[str],
+                 apart: int = 1) -> Watched:
+    """Start one of the loops in this one of other ROS domains, and a listener."""
+    return Watched(Process(command, apart=apart), topics, scale, apart)
