@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 
+import mujoco
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -199,6 +200,16 @@ def test_without_rclcpp_the_remedy_for_the_loop_in_cpp_is_said():
     assert 'is not found; install CMake and a ROS 2 with rclcpp' in done.stdout
 
 
+def test_a_step_of_the_bare_physics_shows_the_effort_of_a_motor(bench):
+    from targets import answers, physics
+    bare = physics.Bare(physics.panda(answers.PERIOD_S))
+    bare.make_motor(answers.JOINT)
+    joint = bare.model.joint(answers.JOINT)
+    bare.data.ctrl[bare.model.actuator_trnid[:, 0] == joint.id] = 0.2
+    mujoco.mj_step(bare.model, bare.data)
+    assert bare.data.qfrc_actuator[joint.dofadr[0]] == pytest.approx(0.2, abs=0.01)
+
+
 @pytest.mark.full
 def test_the_loop_in_cpp_publishes_in_real_time_and_obeys_a_controller(bench, tmp_path):
     pytest.importorskip('rclpy', reason='needs ROS 2')
@@ -207,7 +218,9 @@ def test_the_loop_in_cpp_publishes_in_real_time_and_obeys_a_controller(bench, tm
     if 'is not found' in why:
         pytest.skip(why)
     assert program is not None, why
-    model = physics.Bare(physics.panda(answers.PERIOD_S, 'effort')).save(tmp_path)
+    bare = physics.Bare(physics.panda(answers.PERIOD_S))
+    bare.make_motor(answers.JOINT)
+    model = bare.save(tmp_path)
     command = processes.loops(model, '1', '1')[1]
     with processes.Process(command, apart=1) as loop, \
             processes.start_script('commander.py', 'effect', answers.JOINT, apart=1) as client:

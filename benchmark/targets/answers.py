@@ -30,7 +30,9 @@ def measure_effect(settings: Settings) -> Iterator[Figure]:
     settings.report('effect, commands at 1000 Hz in real time')
     count = round(_COMMANDS * settings.scale)
     with tempfile.TemporaryDirectory() as folder:
-        model = Bare(panda(PERIOD_S, 'effort')).save(Path(folder))
+        bare = Bare(panda(PERIOD_S))
+        bare.make_motor(JOINT)
+        model = bare.save(Path(folder))
         with contextlib.ExitStack() as stack:
             pairs = []
             for apart, loop in enumerate((None, *loops(model, '1', '1'))):

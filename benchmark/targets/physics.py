@@ -19,10 +19,9 @@ from manip_sim.simulation import Simulation
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
-def panda(timestep_s: float = 0.001, mode: str = 'position') -> Simulation:
+def panda(timestep_s: float = 0.001) -> Simulation:
     """Return the world that the rows with the node use, as the node builds it."""
     simulation = Simulation(compose('Panda', timestep_s=timestep_s))
-    simulation.robot.set_control_mode('arm', mode)
     simulation.advance(1)
     return simulation
 
@@ -31,7 +30,7 @@ class Bare:
     """
     MuJoCo's own data of the model of a simulation, at the state of that simulation.
 
-    :param simulation: whose model is used; it is not changed
+    :param simulation: whose model is used
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -40,6 +39,15 @@ class Bare:
         for field in ('qpos', 'qvel', 'act', 'ctrl'):
             getattr(self.data, field)[:] = getattr(simulation.data, field)
         mujoco.mj_forward(self.model, self.data)
+
+    def make_motor(self, joint: str) -> None:
+        """Let the control of a joint be its effort, as of the node in the mode ``effort``."""
+        actuator = int(np.flatnonzero(
+            self.model.actuator_trnid[:, 0] == self.model.joint(joint).id)[0])
+        self.model.actuator_dyntype[actuator] = mujoco.mjtDyn.mjDYN_NONE
+        self.model.actuator_actadr[actuator], self.model.actuator_actnum[actuator] = -1, 0
+        self.model.actuator_gainprm[actuator] = np.eye(1, mujoco.mjNGAIN)
+        self.model.actuator_biasprm[actuator] = 0.0
 
     def save(self, folder: Path) -> str:
         """Write model and state for the loops; return the path of the model."""
