@@ -96,6 +96,9 @@ def _resolved(joint: str, value: float, default: float) -> float:
 STOPPED_VELOCITY = 0.01
 #: Greatest distance of the last point beyond the range of a joint without tolerance [rad or m].
 _BEYOND = 0.01
+#: Smaller velocities at the last point are none, as for joint_trajectory_controller; planners
+#: leave some 1e-17 [rad/s or m/s].
+_ROUNDING = float(np.finfo(np.float32).eps)
 
 
 @dataclass(frozen=True)
@@ -272,6 +275,6 @@ def _check_end(part: str, names: Sequence[str], request: TrajectoryRequest, last
     if request.velocities is not None:
         speeds = np.asarray(request.velocities, dtype=float)[-1]
         for name, speed in zip(names, speeds):
-            if speed:
+            if abs(speed) > _ROUNDING:
                 raise GoalError(GoalCode.INVALID_GOAL, f"{part}: joint '{name}' must stand still "
                                 f'at the last point, its velocity there is {speed:g}')

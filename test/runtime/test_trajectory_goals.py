@@ -445,6 +445,15 @@ def test_goal_that_cannot_be_is_rejected_with_its_code(panda, more, code, text):
     assert panda.simulation.robot.joints.busy_parts == before
 
 
+@pytest.mark.parametrize(('speed', 'fits'), [(-4.4e-17, True), (1e-7, True), (2e-7, False)])
+def test_what_rounding_leaves_of_the_last_velocity_is_none(panda, speed, fits):
+    panda.run(0.5)
+    with contextlib.nullcontext() if fits else pytest.raises(GoalError, match='stand still'):
+        goal = panda.start(velocities=[[speed]])
+        panda.run(2.0, until=goal)
+        assert ended(goal) == SUCCESS
+
+
 def test_a_goal_is_late_in_the_first_period_after_its_time_and_no_slowing_is_told(panda):
     panda.run(0.5)
     begin_ns = panda.simulation.time_ns
