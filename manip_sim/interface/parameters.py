@@ -83,7 +83,7 @@ def node_parameters() -> list[ParameterSpec]:
                       'simulation time; ~/pause resumes. A time that has passed has no effect.',
                       's', live=True, minimum=0.0, maximum=1e9),
         ParameterSpec('real_time_factor', 1.0, 'Simulation time per wall time, with stepping '
-                      'realtime.', live=True, minimum=0.1, maximum=10.0),
+                      'realtime.', live=True, minimum=0.1, maximum=100.0),
         ParameterSpec('expected_command_rate', 0.0, 'Commands per second of simulation time for '
                       'which the controllers or policies were made; /diagnostics warns of parts '
                       'whose commands come at another one. 0: any.', 'Hz', live=True,
