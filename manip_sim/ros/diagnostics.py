@@ -275,6 +275,8 @@ def _status(name: str, message: str, values: dict[str, object], warns: bool = Fa
 _OWN_PROGRAMS = ('sim_view', 'pick_cube', 'hand_over')
 #: Least similarity of a topic with one end to a topic of the node with the other end.
 _SIMILAR = 0.8
+#: And of a topic of another kind: MoveIt's ``planning_scene`` is no ``planning_scene_world``.
+_MISSPELT = 0.9
 #: The packages of services that every node has, so that a call of one may be for any other node.
 _OF_EVERY_NODE = ('rcl_interfaces', 'type_description_interfaces')
 #: Longest time of messages of a node after its endpoints [s].
@@ -463,9 +465,12 @@ def _taking(topic: str, kind: str, taken: Mapping[str, str]) -> str:
 def _nearest(topic: str, kinds: Sequence[str], taken: Mapping[str, str]) -> str | None:
     """Return the topic of the node that was probably meant by one that it does not have."""
     in_other_namespace = [name for name in taken if name.endswith(topic) or topic.endswith(name)]
-    of_one_kind = [name for name, kind in taken.items()
-                   if kind in kinds and name.rpartition('/')[2] == topic.rpartition('/')[2]]
-    for names, similarity in ((in_other_namespace, 0.0), (of_one_kind, 0.0), (taken, _SIMILAR)):
+    of_one_kind = [name for name, kind in taken.items() if kind in kinds]
+    of_one_name = [name for name in of_one_kind
+                   if name.rpartition('/')[2] == topic.rpartition('/')[2]]
+    for names, similarity in (
+            (in_other_namespace, 0.0), (of_one_name, 0.0), (of_one_kind, _SIMILAR),
+            (taken, _MISSPELT)):
         near = difflib.get_close_matches(topic, names, n=1, cutoff=similarity)
         if near:
             return near[0]

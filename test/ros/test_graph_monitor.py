@@ -350,8 +350,9 @@ def test_nodes_with_another_shared_memory_are_told_of_with_the_remedy(client):
     ('/joint_command', 'a/A', '/left/joint_command'),
     ('/old/left/arm/joint_command', 'b/B', '/left/arm/joint_command'),
     ('/left/arm/joint_comand', 'b/B', '/left/arm/joint_command'),
-    ('/elbow/pose', 'c/C', '/left/arm/pose'), ('/elbow/pose', 'a/A', None), ('/x', 'a/A', None)])
+    ('/elbow/pose', 'c/C', '/left/arm/pose'), ('/elbow/pose', 'a/A', None), ('/x', 'a/A', None),
+    ('/planning_scene', 'd/Scene', None), ('/planning_scene', 'd/World', '/planning_scene_world')])
 def test_the_topic_that_was_meant_is_the_nearest(topic, kind, meant):
     taken = {'/left/joint_command': 'a/A', '/left/arm/joint_command': 'a/A',
-             '/left/arm/pose': 'c/C'}
+             '/left/arm/pose': 'c/C', '/planning_scene_world': 'd/World'}
     assert _nearest(topic, [kind], taken) == meant
