@@ -252,18 +252,20 @@ def kinematics(groups: Iterable[Group]) -> Settings:
     return solvers
 
 
-def joint_limits(groups: Iterable[Group], robot: SimulatedRobot, velocity: Mapping[str, float]
-                 ) -> Settings:
+def joint_limits(groups: Iterable[Group], passive: Iterable[str], robot: SimulatedRobot,
+                 velocity: Mapping[str, float]) -> Settings:
     """
     Return ``joint_limits.yaml``: velocities as in the URDF, and accelerations.
 
+    :param passive: joints of groups for which MoveIt does not plan, but wants limits
     :param velocity: limits by joint [rad/s or m/s]
     """
     names = robot.joints.names
     accelerations = dict(zip(names, robot.joints.acceleration_limits(
         robot.joints.find(names)).tolist()))
     limits = {}
-    for joint in dict.fromkeys(joint for group in groups for joint in group.active):
+    active = (joint for group in groups for joint in group.active)
+    for joint in dict.fromkeys((*active, *passive)):
         limits[joint] = {
             'has_velocity_limits': True, 'max_velocity': velocity[joint],
             'has_acceleration_limits': True,
@@ -354,7 +356,7 @@ def write_package(world: World, folder: Path, controlling: Controlling | None = 
         f'config/{name}.srdf': write_srdf(name, groups, postures, passive, disabled),
         **as_yaml({
             'config/kinematics.yaml': kinematics(groups),
-            'config/joint_limits.yaml': joint_limits(groups, simulation.robot, velocity),
+            'config/joint_limits.yaml': joint_limits(groups, passive, simulation.robot, velocity),
             'config/moveit_controllers.yaml': controllers(groups, effort, controlling),
             'config/ompl_planning.yaml': ompl(groups),
             'config/pilz_industrial_motion_planner_planning.yaml': _PILZ,

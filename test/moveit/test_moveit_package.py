@@ -174,7 +174,8 @@ def test_joints_that_nothing_drives_are_passive(packages):
 def test_limits_are_those_of_the_urdf_and_complete_for_time_parameterization(package):
     limits = package.config('joint_limits')['joint_limits']
     planned = {joint.get('name') for joint in package.srdf.findall('group_state/joint')}
-    assert limits.keys() == planned
+    passive = {joint.get('name') for joint in package.srdf.findall('passive_joint')}
+    assert limits.keys() == planned | passive
     for name, limit in limits.items():
         assert limit['has_velocity_limits'] is limit['has_acceleration_limits'] is True
         assert limit['max_velocity'] == float(package.joints[name].find('limit').get('velocity'))
