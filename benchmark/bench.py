@@ -9,7 +9,7 @@ Each is the median of several rounds, in which the compared programs take turns 
 memory is the median of the last samples of one run. All processes
 stay on two cores of this machine, in a ROS domain that nobody else uses. The column "plain loop"
 is a loop of rclpy and MuJoCo without this package, "C++ loop" the same in C++, a yardstick where
-CMake finds rclcpp. What is measured: docs/explanation/performance.md.
+CMake finds rclcpp. The rows are explained in docs/explanation/performance.md.
 
 Writes bench.json, each figure when it is measured, and, where matplotlib is installed, pictures.
 A row that fails leaves the others. The exit code is 0 if no
