@@ -15,7 +15,7 @@ import numpy as np
 from manip_sim.models import compose
 from manip_sim.simulation import Simulation
 
-#: What MuJoCo needs to go on from an instant.
+#: The parts of a state from which MuJoCo goes on from an instant.
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
